@@ -1,4 +1,31 @@
 defmodule Situ.Assistant do
+  @moduledoc """
+  A voice assistant that listens for its name, recognizes a sentence, detects the intent, acts, and replies aloud. The
+  user can interrupt a reply.
+
+      microphone = Situ.Media.Microphone.open(p)
+      assistant = Situ.Assistant.attach(microphone, wake: "computer")
+      Situ.Media.Speaker.play(assistant.sound)
+
+  It knows the time, the date and timers (`Situ.Assistant.Skills`). If `chat:` is given, other sentences go to a
+  language model. The result is a map of streams:
+
+  | key | type | content |
+  |---|---|---|
+  | `:voice` | boolean | whether somebody is speaking |
+  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | recognized sentences, and partial results |
+  | `:intent` | `Situ.Intent` | detected intents |
+  | `:said` | string | the assistant's replies, at the time of the decision |
+  | `:sound` | `Situ.AudioBuffer` | the spoken replies, in chunks for playback |
+  | `:speaking` | boolean | whether the assistant is speaking |
+  | `:stop` | string | the words of a user who interrupts the assistant |
+
+  The microphone may pick up the assistant's own voice. The input is therefore attenuated during playback (`duck:`),
+  so that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
+  safeguard, words that the assistant has just spoken are neither commands nor interruptions
+  (`Situ.Assistant.EchoDetector`).
+  """
+
   @own [
     wake: [
       type: {:optional, :string},
@@ -47,36 +74,8 @@ defmodule Situ.Assistant do
     synthesizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechSynthesizer`."]
   ]
 
-  @moduledoc """
-  A voice assistant that listens for its name, recognizes a sentence, detects the intent, acts, and replies aloud. The
-  user can interrupt a reply.
+  Situ.Options.add_to_moduledoc(__MODULE__, @own)
 
-      microphone = Situ.Media.Microphone.open(p)
-      assistant = Situ.Assistant.attach(microphone, wake: "computer")
-      Situ.Media.Speaker.play(assistant.sound)
-
-  It knows the time, the date and timers (`Situ.Assistant.Skills`). If `chat:` is given, other sentences go to a
-  language model. The result is a map of streams:
-
-  | key | type | content |
-  |---|---|---|
-  | `:voice` | boolean | whether somebody is speaking |
-  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | recognized sentences, and partial results |
-  | `:intent` | `Situ.Intent` | detected intents |
-  | `:said` | string | the assistant's replies, at the time of the decision |
-  | `:sound` | `Situ.AudioBuffer` | the spoken replies, in chunks for playback |
-  | `:speaking` | boolean | whether the assistant is speaking |
-  | `:stop` | string | the words of a user who interrupts the assistant |
-
-  The microphone may pick up the assistant's own voice. The input is therefore attenuated during playback (`duck:`),
-  so that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
-  safeguard, words that the assistant has just spoken are neither commands nor interruptions
-  (`Situ.Assistant.EchoDetector`).
-
-  ## Options
-
-  #{Situ.Options.docs(@own)}
-  """
   alias Situ.Assistant.{Dialogue, Interruption, Player}
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
   alias Situ.AudioStream.Ducker

@@ -1,18 +1,4 @@
 defmodule Situ.Store do
-  alias Situ.Recording.Formats
-
-  alias Situ.Store.{
-    Columns,
-    Copying,
-    Editing,
-    Exporter,
-    Folder,
-    Importer,
-    Maintenance,
-    Query,
-    Summary
-  }
-
   @moduledoc """
   Recordings store many streams on disk while a pipeline is running. They can be read by time, by index or live, and
   replayed into a pipeline.
@@ -46,6 +32,21 @@ defmodule Situ.Store do
   memory use. Data of a struct that this system does not have becomes a map with the key `"__struct__"`. Bytes of an
   unknown codec become a `Situ.Store.Undecoded`.
   """
+
+  alias Situ.Recording.Formats
+
+  alias Situ.Store.{
+    Columns,
+    Copying,
+    Editing,
+    Exporter,
+    Folder,
+    Importer,
+    Maintenance,
+    Query,
+    Summary
+  }
+
   alias Situ.{Error, Message, Options}
   alias Situ.Store.StreamInfo
 

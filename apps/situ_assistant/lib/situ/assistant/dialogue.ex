@@ -1,4 +1,15 @@
 defmodule Situ.Assistant.Dialogue do
+  @moduledoc false
+  # Manages the conversation: decides whether a sentence is addressed to the assistant, detects
+  # its intent, and acts.
+  #
+  # Input `:heard` contains recognized utterances (`Situ.Infer.Speech.Utterance`). Outputs are
+  # `:intent` (detected intents), `:said` (replies) and `:ask` (questions for a language model).
+  # Timers use the pipeline's clock.
+  #
+  # The name is matched approximately: about one wrong letter in six is tolerated. Echoes of the
+  # assistant's own speech are ignored.
+
   @schema [
     wake: [
       type: {:optional, :string},
@@ -23,19 +34,6 @@ defmodule Situ.Assistant.Dialogue do
     ]
   ]
 
-  @moduledoc """
-  Manages the conversation: decides whether a sentence is addressed to the assistant, detects its intent, and acts.
-
-  Input `:heard` contains recognized utterances (`Situ.Infer.Speech.Utterance`). Outputs are `:intent` (detected
-  intents), `:said` (replies) and `:ask` (questions for a language model). Timers use the pipeline's clock.
-
-  The name is matched approximately: about one wrong letter in six is tolerated. Echoes of the assistant's own speech
-  are ignored.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [heard: Situ.Infer.Speech.Utterance],
     outputs: [intent: Situ.Intent, said: :string, ask: :string],

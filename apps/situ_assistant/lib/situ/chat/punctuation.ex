@@ -1,8 +1,8 @@
 defmodule Situ.Chat.Punctuation do
-  @moduledoc """
-  Adds punctuation with a language model. If the model changes the words, its output is discarded and
-  `Situ.Infer.Speech.Punctuation.Rules` is used instead. It has the same options and errors as `Situ.Chat`.
-  """
+  @moduledoc false
+  # Adds punctuation with a language model. If the model changes the words, its output is
+  # discarded and `Situ.Infer.Speech.Punctuation.Rules` is used instead. It has the same options
+  # and errors as `Situ.Chat`.
   @behaviour Situ.Infer.Speech.Punctuation
   alias Situ.{Chat, Error}
   alias Situ.Infer.Speech.Punctuation.Rules

@@ -1,8 +1,7 @@
 defmodule Situ.Intent.Recognizer do
-  @moduledoc """
-  Behaviour of recognizers, which detect the intent of a text for `Situ.Intent.Detector`. A grammar and a language model
-  are built in.
-  """
+  @moduledoc false
+  # Behaviour of recognizers, which detect the intent of a text for `Situ.Intent.Detector`. A
+  # grammar and a language model are built in.
 
   @doc "Loads the recognizer. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, recognizer :: term()} | {:error, Situ.Error.t()}

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Studio do
-  @moduledoc "`situ studio`: shows recordings in the browser."
+  @moduledoc false
+  # `situ studio`: shows recordings in the browser.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Plugin, Token, Verb}

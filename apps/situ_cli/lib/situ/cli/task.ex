@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Task do
-  @moduledoc "`situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a dataset."
+  @moduledoc false
+  # `situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a
+  # dataset.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Setting, Verb}
   alias Situ.Dataset

@@ -1,18 +1,8 @@
 defmodule Situ.Annotation.Edit do
-  @moduledoc """
-  Edits that change several annotations of a `Situ.Annotation.Layer` together: shared edges, complete tracks, splits
-  and proposals. Each returns `{:ok, layer, transaction}` and can be undone in one step.
-
-      iex> alias Situ.Annotation.{Edit, Layer, Schema}
-      iex> {:ok, layer} = Layer.new(Schema.text("Words"),
-      ...>   [Situ.Annotation.new(0, 10, "P1"), Situ.Annotation.new(10, 20, "P1")])
-      iex> {:ok, layer, _} = Edit.move_edge(layer, 1, :to, 12)
-      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
-      [{0, 12}, {12, 20}]
-      iex> {:ok, layer, _} = Edit.split_annotation(layer, 1, 4)
-      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
-      [{0, 4}, {4, 12}, {12, 20}]
-  """
+  @moduledoc false
+  # Edits that change several annotations of a `Situ.Annotation.Layer` together: shared edges,
+  # complete tracks, splits and proposals. Each returns `{:ok, layer, transaction}` and can be
+  # undone in one step.
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema}
   alias Situ.Error
@@ -23,6 +13,16 @@ defmodule Situ.Annotation.Edit do
   end.
 
   The annotation in the returned layer shows the time that the edge was moved to.
+
+      iex> alias Situ.Annotation.{Edit, Layer, Schema}
+      iex> {:ok, layer} = Layer.new(Schema.text("Words"),
+      ...>   [Situ.Annotation.new(0, 10, "P1"), Situ.Annotation.new(10, 20, "P1")])
+      iex> {:ok, layer, _} = Edit.move_edge(layer, 1, :to, 12)
+      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
+      [{0, 12}, {12, 20}]
+      iex> {:ok, layer, _} = Edit.split_annotation(layer, 1, 4)
+      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
+      [{0, 4}, {4, 12}, {12, 20}]
   """
   @spec move_edge(Layer.t(), Layer.id(), :from | :to, Situ.Time.t(), keyword()) :: Layer.edited()
   def move_edge(%Layer{} = layer, id, edge, time, opts \\ []) when edge in [:from, :to] do

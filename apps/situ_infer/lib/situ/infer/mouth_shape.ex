@@ -1,4 +1,16 @@
 defmodule Situ.Infer.MouthShape do
+  @moduledoc """
+  Measures the mouths in a stream of images with a face detector, a face tracker, face landmarks and a mouth tracker.
+
+      images -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthTracker -> %{id => Situ.Infer.Mouth}
+         \\____________________________________/
+
+      mouths = camera |> Situ.Infer.MouthShape.detect()
+
+  `detect/2` returns the stream of mouths, and `detect_stages/2` also returns the intermediate streams. Each stage is
+  a process, so detector and landmarks work on different images at the same time.
+  """
+
   @schema [
     detector: [type: :keyword, default: [], doc: "Options for `Situ.Infer.FaceDetector`."],
     tracker: [type: :keyword, default: [], doc: "Options for `Situ.Infer.FaceTracker`."],
@@ -11,21 +23,8 @@ defmodule Situ.Infer.MouthShape do
     ]
   ]
 
-  @moduledoc """
-  Measures the mouths in a stream of images with a face detector, a face tracker, face landmarks and a mouth tracker.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      images -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthTracker -> %{id => Situ.Infer.Mouth}
-         \\____________________________________/
-
-      mouths = camera |> Situ.Infer.MouthShape.detect()
-
-  `detect/2` returns the stream of mouths, and `detect_stages/2` also returns the intermediate streams. Each stage is
-  a process, so detector and landmarks work on different images at the same time.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   alias Situ.Infer.{FaceDetector, FaceLandmarks, FaceTracker, MouthTracker}
   alias Situ.Stream
 

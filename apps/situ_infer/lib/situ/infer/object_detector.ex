@@ -1,4 +1,17 @@
 defmodule Situ.Infer.ObjectDetector do
+  @moduledoc """
+  Detects objects in images, with a YOLO network in an ONNX file.
+
+      found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
+      found.out |> Situ.via(Situ.Infer.Tracker)
+
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
+  and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
+  where the object is; a mask covers its box. A v2 network needs `scale: 1`.
+
+  No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
+  """
+
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     version: [
@@ -38,22 +51,6 @@ defmodule Situ.Infer.ObjectDetector do
 
   @schema @own ++ Situ.Infer.Vision.ImageInput.schema(fit: :pad)
 
-  @moduledoc """
-  Detects objects in images, with a YOLO network in an ONNX file.
-
-      found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
-      found.out |> Situ.via(Situ.Infer.Tracker)
-
-  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
-  and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
-  where the object is; a mask covers its box. A v2 network needs `scale: 1`.
-
-  No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Rect}, masks: {:list, Situ.Image}],

@@ -1,4 +1,8 @@
 defmodule Situ.Infer.Punctuator do
+  @moduledoc false
+  # Turns words into sentences (`Situ.Infer.punctuate/2`). Input and output are
+  # `Situ.Infer.Speech.Utterance`s at the same times.
+
   @schema [
     punctuation: [
       type: :module,
@@ -8,14 +12,6 @@ defmodule Situ.Infer.Punctuator do
     options: [type: :keyword, default: [], doc: "Options for its `load/1`."]
   ]
 
-  @moduledoc """
-  Turns words into sentences (`Situ.Infer.punctuate/2`). Input and output are `Situ.Infer.Speech.Utterance`s at the same
-  times.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.Infer.Speech.Utterance],
     outputs: [out: Situ.Infer.Speech.Utterance],

@@ -1,10 +1,10 @@
 defmodule Situ.AudioOps.Channels do
-  @moduledoc """
-  Converts channels, gain and sample types of a buffer. Call these functions through `Situ.AudioOps`.
-
-  All operations use one kernel: every output channel is a weighted sum of input channels, rounded to the nearest value
-  and clipped.
-  """
+  @moduledoc false
+  # Converts channels, gain and sample types of a buffer. Call these functions through
+  # `Situ.AudioOps`.
+  #
+  # All operations use one kernel: every output channel is a weighted sum of input channels,
+  # rounded to the nearest value and clipped.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.NativeKernel
 

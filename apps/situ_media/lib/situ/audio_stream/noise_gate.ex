@@ -1,4 +1,12 @@
 defmodule Situ.AudioStream.NoiseGate do
+  @moduledoc false
+  # Passes audio that is louder than the noise, and attenuates or mutes the rest
+  # (`Situ.AudioStream.noise_gate/2`).
+  #
+  # Two levels prevent flickering, and the factor changes linearly to avoid clicks. The gate
+  # decides once per buffer, so buffers should be 10 ms long; the operator ensures this. Times and
+  # lengths do not change.
+
   @schema [
     open: [
       type: {:range, -120, 0},
@@ -24,16 +32,6 @@ defmodule Situ.AudioStream.NoiseGate do
     ]
   ]
 
-  @moduledoc """
-  Passes audio that is louder than the noise, and attenuates or mutes the rest (`Situ.AudioStream.noise_gate/2`).
-
-  Two levels prevent flickering, and the factor changes linearly to avoid clicks. The gate decides once per buffer, so
-  buffers should be 10 ms long; the operator ensures this. Times and lengths do not change.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [out: Situ.AudioBuffer],

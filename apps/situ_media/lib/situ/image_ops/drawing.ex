@@ -1,33 +1,9 @@
 defmodule Situ.ImageOps.Drawing do
-  @moduledoc """
-  Draws lines, rectangles, circles and text on a copy of an image. Call these functions through `Situ.ImageOps`.
-  `draw/2` draws several shapes and copies the image once.
-
-  | shape | drawn | options |
-  |---|---|---|
-  | `{:line, {x, y}, {x, y}, opts}` | a line, both ends included | `color:`, `width:` |
-  | `{:rectangle, rect, opts}` | `Situ.Rect` or `{x, y, width, height}`; the outline on its outermost pixels | `color:`, `width:` |
-  | `{:fill_rectangle, rect, opts}` | its inside | `color:` |
-  | `{:circle, {x, y}, radius, opts}` | outline centred on its edge | `color:`, `width:` |
-  | `{:fill_circle, {x, y}, radius, opts}` | a disc, as large as the outline of width 1 | `color:` |
-  | `{:text, {x, y}, string, opts}` | top left corner of the first line's capitals | `color:`, `size:`, `font:`, `background:` |
-
-  `{x, y}` is the center of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), and `width:` is the line width
-  in pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
-  edges, and lines of even width have half the color in their outer rows. Rectangles are aligned to complete pixels.
-  Positions may be outside the image by up to 1,000,000 pixels; parts outside the image are clipped.
-
-  Text may be any Unicode text (with marks, ligatures and right-to-left scripts), in lines separated by `\\n`:
-
-    * `size:` height of a capital letter in pixels, 1 to 2000 (default 16)
-    * `font:` the path of a TrueType or OpenType file, or a list of paths. Each character uses the first font that
-      covers it. DejaVu Sans, which is included in Situ and is the default, is the fallback; it covers Latin, Greek,
-      Cyrillic, Hebrew, Arabic and more, but not Chinese, Japanese or Korean. Characters that no font covers are drawn
-      as a box. A file that is not a font is the error `:bad_font`.
-    * `background:` color of a box under the text, 2 pixels larger on each side (default none)
-
-  Color fonts (emoji) have no outlines to draw, so only monochrome fonts work.
-  """
+  @moduledoc false
+  # Draws lines, rectangles, circles and text on a copy of an image. Call these functions through
+  # `Situ.ImageOps`. `draw/2` draws several shapes and copies the image once.
+  #
+  # `Situ.ImageOps.draw/2` documents the shapes and their options.
   alias Situ.{Image, Point2, Rect}
   alias Situ.Image.Color
   alias Situ.ImageOps.Text

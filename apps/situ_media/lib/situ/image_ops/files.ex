@@ -1,10 +1,10 @@
 defmodule Situ.ImageOps.Files do
-  @moduledoc """
-  Reads and writes images as JPEG, PNG and raw bytes. Call these functions through `Situ.ImageOps`.
-
-  A decoder allocates the size given in a header only if the bytes could hold such an image, and never more than
-  `Situ.Image.max_bytes/0`.
-  """
+  @moduledoc false
+  # Reads and writes images as JPEG, PNG and raw bytes. Call these functions through
+  # `Situ.ImageOps`.
+  #
+  # A decoder allocates the size given in a header only if the bytes could hold such an image, and
+  # never more than `Situ.Image.max_bytes/0`.
   alias Situ.{DepthImage, EncodedImage, Error, Image}
   alias Situ.ImageOps.{CostEstimate, Pixels}
   alias Situ.Media.NativeKernel

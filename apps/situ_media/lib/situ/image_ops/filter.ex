@@ -1,7 +1,7 @@
 defmodule Situ.ImageOps.Filter do
-  @moduledoc """
-  OpenCV filters: blurs, edges, morphology and histogram equalization. Call these functions through `Situ.ImageOps`.
-  """
+  @moduledoc false
+  # OpenCV filters: blurs, edges, morphology and histogram equalization. Call these functions
+  # through `Situ.ImageOps`.
   alias Situ.Image
   alias Situ.ImageOps.ArgumentCheck
   alias Situ.Media.NativeKernel

@@ -1,8 +1,7 @@
 defmodule Situ.ImageOps.Geometry do
-  @moduledoc """
-  Geometric operations: crop, resize, letterbox, flip, rotate, warp and paste. Call these functions through
-  `Situ.ImageOps`.
-  """
+  @moduledoc false
+  # Geometric operations: crop, resize, letterbox, flip, rotate, warp and paste. Call these
+  # functions through `Situ.ImageOps`.
   alias Situ.{DepthImage, Error, Image, Rect}
   alias Situ.Image.{Color, Format}
   alias Situ.ImageOps.{ArgumentCheck, CostEstimate}

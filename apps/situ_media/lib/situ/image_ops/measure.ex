@@ -1,7 +1,7 @@
 defmodule Situ.ImageOps.Measure do
-  @moduledoc """
-  Measurements of images: statistics, histograms and comparisons. Call these functions through `Situ.ImageOps`.
-  """
+  @moduledoc false
+  # Measurements of images: statistics, histograms and comparisons. Call these functions through
+  # `Situ.ImageOps`.
   alias Situ.{Error, Image, Rect}
   alias Situ.Image.Format
   alias Situ.ImageOps.ArgumentCheck

@@ -1,8 +1,7 @@
 defmodule Situ.ImageOps.Pixels do
-  @moduledoc """
-  Operations on pixels: conversion, inversion, thresholds, differences, convolution and pseudo-color. Call these
-  functions through `Situ.ImageOps`.
-  """
+  @moduledoc false
+  # Operations on pixels: conversion, inversion, thresholds, differences, convolution and
+  # pseudo-color. Call these functions through `Situ.ImageOps`.
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Image.Format
   alias Situ.ImageOps.ArgumentCheck

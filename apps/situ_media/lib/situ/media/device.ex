@@ -1,29 +1,21 @@
 defmodule Situ.Media.Device do
-  @moduledoc """
-  A behaviour for devices: listing them, and starting capture or playback.
-
-  A device is named by a driver and an address, `DRIVER:ADDRESS`:
-
-  | device | driver | kinds |
-  |---|---|---|
-  | `v4l2:/dev/video0`, `/dev/video0` | `Situ.Media.Device.V4L2` | camera |
-  | `pulse:default`, `pulse:virt.monitor` | `Situ.Media.Device.Pulse` | microphone, speaker |
-  | `alsa:default`, `alsa:hw:0,0` | `Situ.Media.Device.Alsa` | microphone, speaker |
-  | `simulated:talk1.mp4` | `Situ.Media.Device.Simulated` | camera, microphone |
-  | `rtsp://...`, `udp://...`, `http://...` | `Situ.Media.Device.Url` | camera, microphone |
-  | `lavfi:testsrc`, `x11grab::0` | `Situ.Media.Device.Input` | any input FFmpeg has |
-
-      iex> Situ.Media.Device.parse_name("/dev/video2")
-      {:ok, {Situ.Media.Device.V4L2, "/dev/video2"}}
-      iex> Situ.Media.Device.parse_name("udp://127.0.0.1:5000")
-      {:ok, {Situ.Media.Device.Url, "udp://127.0.0.1:5000"}}
-      iex> {:error, error} = Situ.Media.Device.parse_name("puls:default")
-      iex> error.fix
-      "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
-
-  Drivers only describe devices. `Situ.Media.Capture` runs the capture in a separate operating system process. To add a
-  kind of device, implement this behaviour and pass `{MyDriver, address}` wherever a device name is accepted.
-  """
+  @moduledoc false
+  # A behaviour for devices: listing them, and starting capture or playback.
+  #
+  # A device is named by a driver and an address, `DRIVER:ADDRESS`:
+  #
+  # | device | driver | kinds |
+  # |---|---|---|
+  # | `v4l2:/dev/video0`, `/dev/video0` | `Situ.Media.Device.V4L2` | camera |
+  # | `pulse:default`, `pulse:virt.monitor` | `Situ.Media.Device.Pulse` | microphone, speaker |
+  # | `alsa:default`, `alsa:hw:0,0` | `Situ.Media.Device.Alsa` | microphone, speaker |
+  # | `simulated:talk1.mp4` | `Situ.Media.Device.Simulated` | camera, microphone |
+  # | `rtsp://...`, `udp://...`, `http://...` | `Situ.Media.Device.Url` | camera, microphone |
+  # | `lavfi:testsrc`, `x11grab::0` | `Situ.Media.Device.Input` | any input FFmpeg has |
+  #
+  # Drivers only describe devices. `Situ.Media.Capture` runs the capture in a separate operating
+  # system process. To add a kind of device, implement this behaviour and pass `{MyDriver,
+  # address}` wherever a device name is accepted.
   # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
 
@@ -82,7 +74,17 @@ defmodule Situ.Media.Device do
   # Inputs of ffmpeg that are named like drivers.
   @inputs ["lavfi", "x11grab", "input"]
 
-  @doc "Parses a device name into its driver and address."
+  @doc """
+  Parses a device name into its driver and address.
+
+      iex> Situ.Media.Device.parse_name("/dev/video2")
+      {:ok, {Situ.Media.Device.V4L2, "/dev/video2"}}
+      iex> Situ.Media.Device.parse_name("udp://127.0.0.1:5000")
+      {:ok, {Situ.Media.Device.Url, "udp://127.0.0.1:5000"}}
+      iex> {:error, error} = Situ.Media.Device.parse_name("puls:default")
+      iex> error.fix
+      "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
+  """
   @spec parse_name(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
   def parse_name({driver, address}) when is_atom(driver) and is_binary(address),
     do: {:ok, {driver, address}}

@@ -1,16 +1,15 @@
 defmodule Situ.Space.OpenCV do
-  @moduledoc """
-  Runs OpenCV's `calib3d` in the separate program `opencv_port`, for chessboards (`Situ.Space.Chessboard`) and stereo
-  (`Situ.Space.Stereo`). `bin/setup --with opencv` builds it, and no other module needs it. A crash of the program
-  affects only its session.
-
-      {:ok, session} = Situ.Space.OpenCV.open()
-      {:ok, corners} = Situ.Space.Chessboard.corners(picture, {9, 6}, session: session)
-      Situ.Space.OpenCV.close(session)
-
-  A session ends with the process that opened it. Functions called without a session open one for that call, which takes
-  about 50 ms.
-  """
+  @moduledoc false
+  # Runs OpenCV's `calib3d` in the separate program `opencv_port`, for chessboards
+  # (`Situ.Space.Chessboard`) and stereo (`Situ.Space.Stereo`). `bin/setup --with opencv` builds
+  # it, and no other module needs it. A crash of the program affects only its session.
+  #
+  #     {:ok, session} = Situ.Space.OpenCV.open()
+  #     {:ok, corners} = Situ.Space.Chessboard.corners(picture, {9, 6}, session: session)
+  #     Situ.Space.OpenCV.close(session)
+  #
+  # A session ends with the process that opened it. Functions called without a session open one
+  # for that call, which takes about 50 ms.
   # See docs/adr/0105-large-libraries-run-in-separate-programs.md.
 
   # A separate process owns the program, because a broken pipe would end the owner.

@@ -1,7 +1,4 @@
 defmodule Situ.Space.StereoDepth do
-  @schema Situ.Space.Stereo.optics_schema() ++
-            Keyword.delete(Situ.Space.Stereo.option_schema(), :session)
-
   @moduledoc """
   Computes depth images from a stream of pairs of rectified images with `Situ.Space.Stereo`, in one `opencv_port`.
 
@@ -10,11 +7,11 @@ defmodule Situ.Space.StereoDepth do
       |> Situ.via(Situ.Space.StereoDepth, focal: 994.98, baseline: 0.193)
 
   Input: pairs `{left, right}` of `Situ.Image`. An invalid pair is an error of the component (`on_error:`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema Situ.Space.Stereo.optics_schema() ++
+            Keyword.delete(Situ.Space.Stereo.option_schema(), :session)
+
   use Situ.Component, inputs: [in: :any], outputs: [out: Situ.DepthImage], options: @schema
 
   alias Situ.Error

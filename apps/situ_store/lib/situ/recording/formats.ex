@@ -1,22 +1,23 @@
 defmodule Situ.Recording.Formats do
-  @moduledoc """
-  Finds the formats of external files by file extension.
+  @moduledoc false
+  # Finds the formats of external files by file extension.
+  #
+  # Formats named in the configuration come first:
+  #
+  #     config :situ_store, formats: [MyFormat]
+  #
+  # Formats provided by loaded applications (`env: [recording_formats: [MyFormat]]` in
+  # `application/0` of the application's `mix.exs`) come next. This application provides CSV;
+  # `situ_media` provides WAV and all formats that FFmpeg reads.
 
-  Formats named in the configuration come first:
-
-      config :situ_store, formats: [MyFormat]
-
-  Formats provided by loaded applications (`env: [recording_formats: [MyFormat]]` in `application/0` of the
-  application's `mix.exs`) come next. This application provides CSV; `situ_media` provides WAV and all formats that
-  FFmpeg reads.
+  @doc """
+  Returns the `Situ.Recording.Format` for a file, or `nil`.
 
       iex> Situ.Recording.Formats.for_file("walk/imu.CSV")
       Situ.Store.Csv
       iex> Situ.Recording.Formats.for_file("notes.txt")
       nil
   """
-
-  @doc "Returns the `Situ.Recording.Format` for a file, or `nil`."
   @spec for_file(Path.t()) :: module() | nil
   def for_file(path) do
     extension = path |> Path.extname() |> String.downcase()

@@ -1,11 +1,11 @@
 defmodule Situ.Store.Copying do
-  @moduledoc """
-  Copies, crops and concatenates stores. Called through `Situ.Store`. Envelopes, types, metadata, codecs and payloads
-  are copied unchanged, even if this system has no module for them. The originals are only read.
-
-  A new store gets its name when it is complete. A program that is killed halfway leaves a folder `NAME.*.unfinished`,
-  which the next program to create a store of this name deletes.
-  """
+  @moduledoc false
+  # Copies, crops and concatenates stores. Called through `Situ.Store`. Envelopes, types,
+  # metadata, codecs and payloads are copied unchanged, even if this system has no module for
+  # them. The originals are only read.
+  #
+  # A new store gets its name when it is complete. A program that is killed halfway leaves a
+  # folder `NAME.*.unfinished`, which the next program to create a store of this name deletes.
   alias Situ.Error
   alias Situ.Store.Copying.Passes
   alias Situ.Recording.Formats

@@ -1,7 +1,7 @@
 defmodule Situ.Store.Editing do
-  @moduledoc """
-  Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
-  """
+  @moduledoc false
+  # Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original
+  # is only read.
   alias Situ.{Error, Message}
   alias Situ.Store.{Copying, Draft, NativeErrors, Query, StreamInfo, Transfer, Writer}
 

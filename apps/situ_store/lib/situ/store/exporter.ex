@@ -1,9 +1,9 @@
 defmodule Situ.Store.Exporter do
-  @moduledoc """
-  A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to `Situ.Store.write/4`.
-
-  The store is closed when the pipeline has completed, whether it succeeded or failed.
-  """
+  @moduledoc false
+  # A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to
+  # `Situ.Store.write/4`.
+  #
+  # The store is closed when the pipeline has completed, whether it succeeded or failed.
   alias Situ.{Options, Pipeline, Stream}
 
   alias Situ.Store.{

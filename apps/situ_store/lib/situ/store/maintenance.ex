@@ -1,7 +1,6 @@
 defmodule Situ.Store.Maintenance do
-  @moduledoc """
-  Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
-  """
+  @moduledoc false
+  # Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
   alias Situ.Error
   alias Situ.Recording
   alias Situ.Store.{NativeErrors, Folder, NativeFormat, Native, Query, Replacement}

@@ -1,4 +1,35 @@
 defmodule Situ.Store.Writer do
+  @moduledoc """
+  Writes a store without a pipeline. `Situ.Store.write/4` uses this interface.
+
+      iex> {:ok, writer} = Situ.Store.Writer.create("notes", System.tmp_dir!() <> "/situ-doc-writer")
+      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Numbers", type: :integer)
+      iex> messages = [%Situ.Message{data: 7, originating_time: 1, creation_time: 2, sequence_id: 1}]
+      iex> {:ok, stream} = Situ.Store.Writer.append(stream, messages)
+      iex> {:ok, _} = Situ.Store.Writer.close_stream(stream, 1)
+      iex> :ok = Situ.Store.Writer.close(writer)
+      iex> {:ok, store} = Situ.Store.open(writer.path)
+      iex> Enum.map(Situ.Store.messages(store, "Numbers"), & &1.data)
+      [7]
+      iex> Situ.Store.delete(writer.path)
+      :ok
+
+  ## Durability: data loss after a crash
+
+  | `durability:` | the process is killed (-9) | the power fails | cost |
+  |---|---|---|---|
+  | `:none` | nothing is lost | data not yet written by the kernel, up to about 30 s (Linux's `dirty_expire`); the store opens, `verify` reports the chunks that did not reach the disk and `repair` removes them | none |
+  | `{:interval, ms}` | nothing is lost | data committed in the last `ms` or since the previous commit, whichever is longer | an `fdatasync` every `ms` |
+  | `:each` | nothing is lost | no messages for which `append/2` has returned | two `fdatasync` per commit: 1 to 10 ms on most disks |
+
+  "Nothing is lost" refers to committed data. Data is committed when `append/2` returns. A pipeline collects data for up
+  to 20 ms before it appends (`Situ.Store.write/4`); with `:each`, every delivery is appended immediately. Disks that
+  misreport the state of their cache lose more.
+
+  When `append/2` returns, the messages are committed. Readers in any process see them, and a kill of this process does
+  not lose them. On an error, none of the messages is written and the writer is unchanged.
+  """
+
   @options [
     versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
     durability: [
@@ -42,44 +73,9 @@ defmodule Situ.Store.Writer do
     metadata: [type: :any, doc: "Supplemental metadata: any plain term."]
   ]
 
-  @moduledoc """
-  Writes a store without a pipeline. `Situ.Store.write/4` uses this interface.
+  Situ.Options.add_to_moduledoc(__MODULE__, @options, "Options of `create/3`")
+  Situ.Options.add_to_moduledoc(__MODULE__, @stream_options, "Options of `stream/3`")
 
-      iex> {:ok, writer} = Situ.Store.Writer.create("notes", System.tmp_dir!() <> "/situ-doc-writer")
-      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Numbers", type: :integer)
-      iex> messages = [%Situ.Message{data: 7, originating_time: 1, creation_time: 2, sequence_id: 1}]
-      iex> {:ok, stream} = Situ.Store.Writer.append(stream, messages)
-      iex> {:ok, _} = Situ.Store.Writer.close_stream(stream, 1)
-      iex> :ok = Situ.Store.Writer.close(writer)
-      iex> {:ok, store} = Situ.Store.open(writer.path)
-      iex> Enum.map(Situ.Store.messages(store, "Numbers"), & &1.data)
-      [7]
-      iex> Situ.Store.delete(writer.path)
-      :ok
-
-  ## Durability: data loss after a crash
-
-  | `durability:` | the process is killed (-9) | the power fails | cost |
-  |---|---|---|---|
-  | `:none` | nothing is lost | data not yet written by the kernel, up to about 30 s (Linux's `dirty_expire`); the store opens, `verify` reports the chunks that did not reach the disk and `repair` removes them | none |
-  | `{:interval, ms}` | nothing is lost | data committed in the last `ms` or since the previous commit, whichever is longer | an `fdatasync` every `ms` |
-  | `:each` | nothing is lost | no messages for which `append/2` has returned | two `fdatasync` per commit: 1 to 10 ms on most disks |
-
-  "Nothing is lost" refers to committed data. Data is committed when `append/2` returns. A pipeline collects data for up
-  to 20 ms before it appends (`Situ.Store.write/4`); with `:each`, every delivery is appended immediately. Disks that
-  misreport the state of their cache lose more.
-
-  When `append/2` returns, the messages are committed. Readers in any process see them, and a kill of this process does
-  not lose them. On an error, none of the messages is written and the writer is unchanged.
-
-  ## Options of `create/3`
-
-  #{Situ.Options.docs(@options)}
-
-  ## Options of `stream/3`
-
-  #{Situ.Options.docs(@stream_options)}
-  """
   # Compression has no dictionary for small messages. Messages of 141 bytes take 125 bytes each
   # with zstd alone, 54 with a dictionary of 16 KiB, and 35 in a chunk of 500. A chunk and its
   # index entry take 176 bytes, so a dictionary saves little where chunks are small and nothing
@@ -102,7 +98,8 @@ defmodule Situ.Store.Writer do
   @type t :: %__MODULE__{ref: reference(), path: Path.t(), name: String.t()}
 
   defmodule Stream do
-    @moduledoc "A stream that is being written. Use the stream returned by `append/2` for the next call."
+    @moduledoc false
+    # A stream that is being written. Use the stream returned by `append/2` for the next call.
     @enforce_keys [:writer, :id, :name]
     defstruct [:writer, :id, :name, codecs: %{}, fields: nil]
     @type t :: %__MODULE__{}

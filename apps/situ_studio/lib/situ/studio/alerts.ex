@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Alerts do
-  @moduledoc """
-  Raises the alerts of one studio. Once a second its rules (`Situ.Studio.Alerts.Rule`, saved with the settings) are
-  evaluated for its running pipelines. An alert is raised when its rule becomes true and cleared when the rule is no
-  longer true; both times are kept until the rule or the pipeline is removed.
-  """
+  @moduledoc false
+  # Raises the alerts of one studio. Once a second its rules (`Situ.Studio.Alerts.Rule`, saved
+  # with the settings) are evaluated for its running pipelines. An alert is raised when its rule
+  # becomes true and cleared when the rule is no longer true; both times are kept until the rule
+  # or the pipeline is removed.
   use GenServer
 
   alias Situ.Diagnostics.Snapshot

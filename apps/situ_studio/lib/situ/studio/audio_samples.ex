@@ -1,8 +1,7 @@
 defmodule Situ.Studio.AudioSamples do
-  @moduledoc """
-  Reads an interval of an audio stream as 32-bit float samples of one or all channels. Samples are positioned by their
-  timestamps; gaps become silence.
-  """
+  @moduledoc false
+  # Reads an interval of an audio stream as 32-bit float samples of one or all channels. Samples
+  # are positioned by their timestamps; gaps become silence.
   alias Situ.{AudioBuffer, AudioFormat, Error, AudioOps}
   alias Situ.Studio.StreamReader
 

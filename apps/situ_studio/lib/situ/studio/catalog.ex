@@ -1,11 +1,12 @@
 defmodule Situ.Studio.Catalog do
-  @moduledoc """
-  Lists the sources of one studio: the recordings in its folder, the configured sources, and the pipelines that it
-  watches. Open sources are shared by all pages; a recording that was opened stays open until it is deleted.
-
-  A task scans the folder on request and at most every two seconds, so that even in a folder of thousands of files
-  only the first request waits. A recording can be opened by name without a scan.
-  """
+  @moduledoc false
+  # Lists the sources of one studio: the recordings in its folder, the configured sources, and the
+  # pipelines that it watches. Open sources are shared by all pages; a recording that was opened
+  # stays open until it is deleted.
+  #
+  # A task scans the folder on request and at most every two seconds, so that even in a folder of
+  # thousands of files only the first request waits. A recording can be opened by name without a
+  # scan.
   use GenServer
 
   alias Situ.Dataset.Session
@@ -18,12 +19,12 @@ defmodule Situ.Studio.Catalog do
   @fresh_ms 2_000
 
   defmodule Item do
-    @moduledoc """
-    Represents an item of the catalog; its `id` is used in addresses. The kind `:elsewhere` is a recording on another
-    machine with the address `path` (`situ://...`), and `:node` is a recording on a cluster node (`NODE/NAME`):
-    nothing is written next to either. A session of a dataset lists its recordings in `parts`; `dataset` is the id of
-    the dataset that an item belongs to.
-    """
+    @moduledoc false
+    # Represents an item of the catalog; its `id` is used in addresses. The kind `:elsewhere` is a
+    # recording on another machine with the address `path` (`situ://...`), and `:node` is a
+    # recording on a cluster node (`NODE/NAME`): nothing is written next to either. A session of a
+    # dataset lists its recordings in `parts`; `dataset` is the id of the dataset that an item
+    # belongs to.
     @enforce_keys [:id, :title, :kind]
     defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
 

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Comparison do
-  @moduledoc """
-  Compares two recordings on one time axis. The second is shifted so that the beginnings, or an event in each,
-  coincide. In an address, `with` names the second recording and `offset` is the shift in ns.
-  """
+  @moduledoc false
+  # Compares two recordings on one time axis. The second is shifted so that the beginnings, or an
+  # event in each, coincide. In an address, `with` names the second recording and `offset` is the
+  # shift in ns.
   alias Situ.Error
   alias Situ.Studio.{Catalog, Layout, Int64, Recordings, StreamReader}
   alias Situ.Studio.Recordings.DerivedStreams

@@ -1,19 +1,18 @@
 defmodule Situ.Studio.DataSession do
-  @moduledoc """
-  Handles the data requests of one page as pure functions; the socket only transports bytes.
-
-  The page sends one JSON request at a time and receives one binary reply (`Situ.Studio.Frame`) to each, so that the
-  amount of data in flight is bounded by the page's own pace:
-
-      {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
-       "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
-       "series": [[1, FROM, TO, BIN]], "instant": [2]}
-
-  `at` is the cursor, `series` lists windows in ns (as strings) with bins of BIN ns, and `instant` lists the channels
-  that show the message at the cursor. If `live` is true, the newest time replaces `at`. With `snap`, the cursor moves
-  to the nearest message of that stream. `offset` shifts the second of two compared recordings
-  (`Situ.Studio.Comparison`).
-  """
+  @moduledoc false
+  # Handles the data requests of one page as pure functions; the socket only transports bytes.
+  #
+  # The page sends one JSON request at a time and receives one binary reply (`Situ.Studio.Frame`)
+  # to each, so that the amount of data in flight is bounded by the page's own pace:
+  #
+  #     {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
+  #      "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
+  #      "series": [[1, FROM, TO, BIN]], "instant": [2]}
+  #
+  # `at` is the cursor, `series` lists windows in ns (as strings) with bins of BIN ns, and
+  # `instant` lists the channels that show the message at the cursor. If `live` is true, the
+  # newest time replaces `at`. With `snap`, the cursor moves to the nearest message of that
+  # stream. `offset` shifts the second of two compared recordings (`Situ.Studio.Comparison`).
   # See docs/adr/0080-the-page-pulls-its-data.md.
   alias Situ.{Error, Studio}
   alias Situ.Studio.{Comparison, Draw, Frame, Visualizer, Visualizers, Int64, StreamReader}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Draw do
-  @moduledoc """
-  Draws the frame of a page's channel, a window or the message at the cursor, with the channel's visualizer.
-  """
+  @moduledoc false
+  # Draws the frame of a page's channel, a window or the message at the cursor, with the channel's
+  # visualizer.
   alias Situ.Studio.Plugins.Sandbox
   alias Situ.Studio.Recordings.Adapted
   alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer, StreamReader}

@@ -1,18 +1,4 @@
 defmodule Situ.Studio.Headset do
-  @schema [
-    page: [
-      type: :string,
-      default: "headset",
-      doc: "The page's name; its address in the studio is `/headset?name=NAME`."
-    ],
-    buffer: [
-      type: :pos_integer,
-      default: 200,
-      doc:
-        "The number of samples whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
-    ]
-  ]
-
   @moduledoc """
   Reads a headset through a page of the studio, opened in the headset's own browser (WebXR).
 
@@ -38,11 +24,24 @@ defmodule Situ.Studio.Headset do
   Times are from the browser, corrected by the clock offset, which is measured with short round trips. A slow pipeline
   slows the page down: the page sends the next sample (the head pose and everything that belongs to it) only when the
   pipeline has capacity, and drops the samples in between.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    page: [
+      type: :string,
+      default: "headset",
+      doc: "The page's name; its address in the studio is `/headset?name=NAME`."
+    ],
+    buffer: [
+      type: :pos_integer,
+      default: 200,
+      doc:
+        "The number of samples whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
+    ]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
+
   alias Situ.Studio.Headset.Packet
   alias Situ.Studio.Sensor.PageSource
 

@@ -1,19 +1,10 @@
 defmodule Situ.Studio.Statistics do
-  @moduledoc """
-  Computes statistics of a stream's messages within an interval: count, rate, regularity, and the distribution of
-  numeric values.
-
-      iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
-      iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
-      iex> stats = Map.new(Situ.Studio.Statistics.compute_statistics(messages, []))
-      iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
-      {4, 4.0, 1, 2, 10}
-      iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
-      {7.5e7, 10, 20}
-
-  A gap is a pause of more than three times the median pause. The standard deviation is the sample standard deviation
-  (n - 1); percentiles are values of messages (nearest rank).
-  """
+  @moduledoc false
+  # Computes statistics of a stream's messages within an interval: count, rate, regularity, and
+  # the distribution of numeric values.
+  #
+  # A gap is a pause of more than three times the median pause. The standard deviation is the
+  # sample standard deviation (n - 1); percentiles are values of messages (nearest rank).
   alias Situ.Studio.{ValuePath, StreamReader}
   alias Situ.Studio.Draw.{Bins, Key}
 
@@ -150,7 +141,17 @@ defmodule Situ.Studio.Statistics do
 
   defp collect_numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
 
-  @doc "Returns names and values in display order; `path` selects a part of the messages."
+  @doc """
+  Returns names and values in display order; `path` selects a part of the messages.
+
+      iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
+      iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
+      iex> stats = Map.new(Situ.Studio.Statistics.compute_statistics(messages, []))
+      iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
+      {4, 4.0, 1, 2, 10}
+      iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
+      {7.5e7, 10, 20}
+  """
   @spec compute_statistics([Situ.Message.t()], ValuePath.t()) :: [{String.t(), number()}]
   def compute_statistics(messages, path) do
     pairs = extract_values(messages, path)

@@ -1,22 +1,14 @@
 defmodule Situ.Studio.StreamInfo do
-  @moduledoc """
-  Describes one stream of any recording for a page, including its shape, by which visualizers are chosen.
-
-  `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`, `:depth`, `:shapes`
-  (rectangles and points over images), `:masks` (lists of masks over images), `:bars` (lists of numbers), `:signals`
-  (maps of numbers), `:states` (maps of booleans, atoms or strings), `:spans` (time intervals), `:space` (poses,
-  clouds, skeletons and so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
-  term).
-
-      iex> Situ.Studio.StreamInfo.shape_of_type({:list, Situ.Rect})
-      :shapes
-      iex> Situ.Studio.StreamInfo.shape_of_type({:optional, :float})
-      :signal
-      iex> Situ.Studio.StreamInfo.shape_of_type({:map, :any, :boolean})
-      :states
-      iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
-      :signals
-  """
+  @moduledoc false
+  # Describes one stream of any recording for a page, including its shape, by which visualizers
+  # are chosen.
+  #
+  # `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
+  # `:depth`, `:shapes` (rectangles and points over images), `:masks` (lists of masks over
+  # images), `:bars` (lists of numbers), `:signals` (maps of numbers), `:states` (maps of
+  # booleans, atoms or strings), `:spans` (time intervals), `:space` (poses, clouds, skeletons and
+  # so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
+  # term).
   alias Situ.Studio.Draw.{Key, Segments}
   alias Situ.Studio.Scene.TermItems
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
@@ -95,7 +87,18 @@ defmodule Situ.Studio.StreamInfo do
 
   def mean_rate(_, _, _), do: nil
 
-  @doc "Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise."
+  @doc """
+  Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise.
+
+      iex> Situ.Studio.StreamInfo.shape_of_type({:list, Situ.Rect})
+      :shapes
+      iex> Situ.Studio.StreamInfo.shape_of_type({:optional, :float})
+      :signal
+      iex> Situ.Studio.StreamInfo.shape_of_type({:map, :any, :boolean})
+      :states
+      iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
+      :signals
+  """
   @spec shape_of_type(Situ.Type.t() | nil) :: shape()
   def shape_of_type(type) when type in [:integer, :float, :number], do: :signal
   def shape_of_type(:boolean), do: :boolean

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.StreamOverview do
-  @moduledoc """
-  Lists the streams of any recording with their shapes, and reads the signals and summaries that pages draw.
-  """
+  @moduledoc false
+  # Lists the streams of any recording with their shapes, and reads the signals and summaries that
+  # pages draw.
   alias Situ.{Error, Message, Recording, Store}
   alias Situ.Studio.Draw.{Bins, WindowMessages}
   alias Situ.Studio.{StreamInfo, StreamReader, StreamTotals}

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.StreamReader do
-  @moduledoc """
-  Reads the messages that pages draw from any recording (`Situ.Recording`): a store, a session, a comparison, or a
-  running pipeline. A stream is named, or given as its `Situ.Store.StreamInfo`.
-
-  Times are inclusive at both ends. If the recording has gone, the functions return `{:error, error}`, and the page
-  shows the error.
-  """
+  @moduledoc false
+  # Reads the messages that pages draw from any recording (`Situ.Recording`): a store, a session,
+  # a comparison, or a running pipeline. A stream is named, or given as its
+  # `Situ.Store.StreamInfo`.
+  #
+  # Times are inclusive at both ends. If the recording has gone, the functions return `{:error,
+  # error}`, and the page shows the error.
   alias Situ.{Error, Message, Recording, Store}
 
   @type extent :: %{

@@ -1,11 +1,7 @@
 defmodule Situ.Studio.TableExport do
-  @moduledoc """
-  Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV file.
-
-      iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
-      iex> Situ.Studio.TableExport.csv_row("Speech", message)
-      ~s(1500000000,1970-01-01T00:00:01.500000000Z,Speech,"say ""hi\"""\\r\\n)
-  """
+  @moduledoc false
+  # Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV
+  # file.
   alias Situ.Studio.{AudioSamples, StreamReader}
 
   # Messages are read in pages, so that memory use does not depend on the length of the selection.
@@ -79,7 +75,14 @@ defmodule Situ.Studio.TableExport do
   defp encode_rows(stream, messages),
     do: messages |> Enum.map(&csv_row(stream, &1)) |> IO.iodata_to_binary()
 
-  @doc "Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their size."
+  @doc """
+  Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their
+  size.
+
+      iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
+      iex> Situ.Studio.TableExport.csv_row("Speech", message)
+      ~s(1500000000,1970-01-01T00:00:01.500000000Z,Speech,"say ""hi\"""\\r\\n)
+  """
   @spec csv_row(String.t(), Situ.Message.t()) :: String.t()
   def csv_row(stream, %Situ.Message{originating_time: time, data: data}) do
     fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, format_value(data)]

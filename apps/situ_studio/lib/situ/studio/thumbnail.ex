@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Thumbnail do
-  @moduledoc """
-  Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first signal.
-  """
+  @moduledoc false
+  # Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first
+  # signal.
   alias Situ.{Image, ImageOps}
   alias Situ.Studio.{Draw, StreamOverview, StreamReader}
 

@@ -1,18 +1,11 @@
 defmodule Situ.Studio.VideoExport do
-  @moduledoc """
-  Writes the images of a stream between two times as a video file, with the audio of another stream and with overlays
-  from other streams: masks, rectangles, points and their labels, as the page shows them.
-
-  Each image is shown from its own time until the next one; the first is the image at the start time. An image whose
-  size differs from the first one is resized.
-
-      iex> image = Situ.Image.new_filled(32, 16, :bgr24)
-      iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
-      iex> film = %Situ.Studio.VideoExport{pictures: "Camera", from: 0, to: 1}
-      iex> drawn = Situ.Studio.VideoExport.draw_overlays(film, image, [{rects, 2}])
-      iex> Situ.Image.fetch_pixel(drawn, 4, 8)
-      {:ok, [138, 195, 76]}
-  """
+  @moduledoc false
+  # Writes the images of a stream between two times as a video file, with the audio of another
+  # stream and with overlays from other streams: masks, rectangles, points and their labels, as
+  # the page shows them.
+  #
+  # Each image is shown from its own time until the next one; the first is the image at the start
+  # time. An image whose size differs from the first one is resized.
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage, Error, Image, ImageOps}
   alias Situ.Media.Encoder
   alias Situ.Studio.VideoExport.Masks
@@ -211,7 +204,16 @@ defmodule Situ.Studio.VideoExport do
         do: {{:labels, Enum.map(objects, &elem(&1, 0))}, color}
   end
 
-  @doc "Draws overlays on an image: the data of each stream's message, with the number of its color."
+  @doc """
+  Draws overlays on an image: the data of each stream's message, with the number of its color.
+
+      iex> image = Situ.Image.new_filled(32, 16, :bgr24)
+      iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
+      iex> film = %Situ.Studio.VideoExport{pictures: "Camera", from: 0, to: 1}
+      iex> drawn = Situ.Studio.VideoExport.draw_overlays(film, image, [{rects, 2}])
+      iex> Situ.Image.fetch_pixel(drawn, 4, 8)
+      {:ok, [138, 195, 76]}
+  """
   @spec draw_overlays(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
   def draw_overlays(_film, image, []), do: image
 

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Store.Exchange do
-  @moduledoc "The verbs of `situ store` that exchange messages with running programs: send and record."
+  @moduledoc false
+  # The verbs of `situ store` that exchange messages with running programs: send and record.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Transport}

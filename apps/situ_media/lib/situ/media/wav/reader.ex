@@ -1,14 +1,13 @@
 defmodule Situ.Media.Wav.Reader do
-  @moduledoc """
-  Reads a WAV file in buffers, starting at any time.
-
-      {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
-      {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next_buffer(reader)
-
-  The time of a buffer is its end, counted in samples from the start of the file, so it is exact to the sample at any
-  rate. After the last complete frame `next_buffer/1` returns `:eof`, or an error if the file is shorter than its header
-  states.
-  """
+  @moduledoc false
+  # Reads a WAV file in buffers, starting at any time.
+  #
+  #     {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
+  #     {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next_buffer(reader)
+  #
+  # The time of a buffer is its end, counted in samples from the start of the file, so it is exact
+  # to the sample at any rate. After the last complete frame `next_buffer/1` returns `:eof`, or an
+  # error if the file is shorter than its header states.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Wav.Format
 

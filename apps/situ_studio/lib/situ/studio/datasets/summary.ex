@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Datasets.Summary do
-  @moduledoc """
-  Summarizes a recording or a dataset for lists: times, streams, size, sessions, or the error that prevents opening it.
-  """
+  @moduledoc false
+  # Summarizes a recording or a dataset for lists: times, streams, size, sessions, or the error
+  # that prevents opening it.
   alias Situ.{Dataset, Error, Store}
   alias Situ.Studio.{StreamTotals, StreamInfo, StreamOverview, StreamReader, Recordings}
 

@@ -1,16 +1,8 @@
 defmodule Situ.Studio.Layout.ImageLook do
-  @moduledoc """
-  Determines the look of a stream's images from one of them: their shape, and whether their values are class numbers
-  (labels of a segmentation) rather than shades of grey. Drawn in grey, class numbers would be nearly black.
-
-      iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
-      iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
-      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
-      {false, true}
-      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
-      iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
-      true
-  """
+  @moduledoc false
+  # Determines the look of a stream's images from one of them: their shape, and whether their
+  # values are class numbers (labels of a segmentation) rather than shades of grey. Drawn in grey,
+  # class numbers would be nearly black.
   alias Situ.{EncodedImage, Image}
   alias Situ.Studio.{StreamInfo, StreamReader}
 
@@ -40,7 +32,17 @@ defmodule Situ.Studio.Layout.ImageLook do
         do: {s.name, look}
   end
 
-  @doc "Determines the look of one image. Returns `nil` for anything else."
+  @doc """
+  Determines the look of one image. Returns `nil` for anything else.
+
+      iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
+      iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
+      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
+      {false, true}
+      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
+      iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
+      true
+  """
   @spec detect_look(term()) :: t() | nil
   def detect_look(%Image{width: w, height: h} = image),
     do: build_look(w, h, class_numbers?(image))

@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Recordings.Adapted do
-  @moduledoc """
-  Wraps a recording whose messages are converted by an adapter (`Situ.Studio.Adapter`). Messages that the adapter cannot
-  convert are gaps.
-  """
+  @moduledoc false
+  # Wraps a recording whose messages are converted by an adapter (`Situ.Studio.Adapter`). Messages
+  # that the adapter cannot convert are gaps.
   @behaviour Situ.Recording
 
   alias Situ.{Recording, Store}

@@ -1,18 +1,8 @@
 defmodule Situ.Studio.Recordings.Comparison do
-  @moduledoc """
-  Combines two recordings on one time axis. The names of the second recording's streams begin with `Compared.`, and all
-  their times are shifted by an offset, including the times of intervals inside messages. Streams of the first recording
-  with such a name are hidden.
-
-      iex> alias Situ.Studio.{History, Recordings, StreamReader}
-      iex> [first, second] = for _ <- 1..2, do: History.new(live: false)
-      iex> :ok = History.put(second, "Level", %Situ.Message{data: 20, originating_time: 5}, 8)
-      iex> [first, second] = for history <- [first, second], do: Recordings.History.wrap(history)
-      iex> both = Recordings.Comparison.combine_recordings(first, second, 100)
-      iex> {:ok, message} = StreamReader.latest_at(both, "Compared.Level", 200)
-      iex> {message.originating_time, message.data}
-      {105, 20}
-  """
+  @moduledoc false
+  # Combines two recordings on one time axis. The names of the second recording's streams begin
+  # with `Compared.`, and all their times are shifted by an offset, including the times of
+  # intervals inside messages. Streams of the first recording with such a name are hidden.
   @behaviour Situ.Recording
 
   alias Situ.{Interval, Message, Recording, Store}
@@ -31,7 +21,18 @@ defmodule Situ.Studio.Recordings.Comparison do
           offset: Situ.Time.duration()
         }
 
-  @doc "Combines two recordings and shifts the second by `offset` ns."
+  @doc """
+  Combines two recordings and shifts the second by `offset` ns.
+
+      iex> alias Situ.Studio.{History, Recordings, StreamReader}
+      iex> [first, second] = for _ <- 1..2, do: History.new(live: false)
+      iex> :ok = History.put(second, "Level", %Situ.Message{data: 20, originating_time: 5}, 8)
+      iex> [first, second] = for history <- [first, second], do: Recordings.History.wrap(history)
+      iex> both = Recordings.Comparison.combine_recordings(first, second, 100)
+      iex> {:ok, message} = StreamReader.latest_at(both, "Compared.Level", 200)
+      iex> {message.originating_time, message.data}
+      {105, 20}
+  """
   @spec combine_recordings(Recording.t(), Recording.t(), Situ.Time.duration()) :: Recording.t()
   def combine_recordings(first, second, offset) do
     state = %__MODULE__{first: first, second: second, offset: offset}

@@ -1,19 +1,10 @@
 defmodule Situ.Studio.Recordings.DerivedStreams do
-  @moduledoc """
-  Adds derived streams to a recording, which are computed when they are read. A stream called `= EXPRESSION` has a
-  message at the time of every message of the streams that the expression names. Its value is the result of the
-  expression (`Situ.Expression`) for the latest message of each of these streams. The name is the complete definition,
-  so layouts and links can contain derived streams.
-
-      iex> alias Situ.Studio.{History, Recordings, StreamReader}
-      iex> history = History.new(live: false)
-      iex> message = %Situ.Message{data: 20, originating_time: 5}
-      iex> :ok = History.put(history, "Level", message, 8)
-      iex> recording = history |> Recordings.History.wrap() |> Recordings.DerivedStreams.wrap()
-      iex> {:ok, message} = StreamReader.latest_at(recording, "= Level * 2 + 1", 9)
-      iex> {message.originating_time, message.data}
-      {5, 41}
-  """
+  @moduledoc false
+  # Adds derived streams to a recording, which are computed when they are read. A stream called `=
+  # EXPRESSION` has a message at the time of every message of the streams that the expression
+  # names. Its value is the result of the expression (`Situ.Expression`) for the latest message of
+  # each of these streams. The name is the complete definition, so layouts and links can contain
+  # derived streams.
   @behaviour Situ.Recording
 
   alias Situ.{Error, Expression, Recording, Store}
@@ -28,7 +19,18 @@ defmodule Situ.Studio.Recordings.DerivedStreams do
 
   @type t :: %__MODULE__{recording: Recording.t()}
 
-  @doc "Wraps a recording to add derived streams."
+  @doc """
+  Wraps a recording to add derived streams.
+
+      iex> alias Situ.Studio.{History, Recordings, StreamReader}
+      iex> history = History.new(live: false)
+      iex> message = %Situ.Message{data: 20, originating_time: 5}
+      iex> :ok = History.put(history, "Level", message, 8)
+      iex> recording = history |> Recordings.History.wrap() |> Recordings.DerivedStreams.wrap()
+      iex> {:ok, message} = StreamReader.latest_at(recording, "= Level * 2 + 1", 9)
+      iex> {message.originating_time, message.data}
+      {5, 41}
+  """
   @spec wrap(Recording.t()) :: Recording.t()
   def wrap(recording) do
     state = %__MODULE__{recording: recording}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Recordings.History do
-  @moduledoc """
-  Opens a `Situ.Studio.History` as a recording. A stream that has no messages yet is an empty stream.
-  """
+  @moduledoc false
+  # Opens a `Situ.Studio.History` as a recording. A stream that has no messages yet is an empty
+  # stream.
   @behaviour Situ.Recording
 
   alias Situ.{Error, Recording}

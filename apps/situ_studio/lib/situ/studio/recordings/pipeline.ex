@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Recordings.Pipeline do
-  @moduledoc """
-  Opens a running pipeline as a recording of its named streams, which are tapped when they are drawn. Messages remain
-  available for five minutes, even after the pipeline has ended.
-  """
+  @moduledoc false
+  # Opens a running pipeline as a recording of its named streams, which are tapped when they are
+  # drawn. Messages remain available for five minutes, even after the pipeline has ended.
   @behaviour Situ.Recording
 
   alias Situ.{Error, Pipeline, Recording}

@@ -1,12 +1,7 @@
 defmodule Situ.Studio.Recordings.Session do
-  @moduledoc """
-  Combines the recordings of a dataset's session on one time axis. If there are several partitions, the names of their
-  streams begin with the partition's name (`Room.Video`).
-
-      iex> {:error, error} = Situ.Studio.Recordings.Session.open([{"Room", "/nowhere/room.0000"}])
-      iex> error.code
-      :no_store
-  """
+  @moduledoc false
+  # Combines the recordings of a dataset's session on one time axis. If there are several
+  # partitions, the names of their streams begin with the partition's name (`Room.Video`).
   @behaviour Situ.Recording
 
   alias Situ.{Error, Recording, Store}
@@ -19,7 +14,14 @@ defmodule Situ.Studio.Recordings.Session do
   @typedoc "`parts` are the opened recordings with the prefixes of their streams."
   @type t :: %__MODULE__{parts: [{prefix :: String.t(), Recording.t()}], broken: [String.t()]}
 
-  @doc "Opens the recordings `[{partition, path}]` as far as possible. Returns the first error if none can be opened."
+  @doc """
+  Opens the recordings `[{partition, path}]` as far as possible. Returns the first error if none
+  can be opened.
+
+      iex> {:error, error} = Situ.Studio.Recordings.Session.open([{"Room", "/nowhere/room.0000"}])
+      iex> error.code
+      :no_store
+  """
   @spec open([{String.t(), Path.t()}]) :: {:ok, Recording.t()} | {:error, Error.t()}
   def open(paths) do
     opened = for {name, path} <- paths, do: {name, Recordings.Store.open(path)}

@@ -1,10 +1,9 @@
 defmodule Situ.Studio.Recordings.Store do
-  @moduledoc """
-  Opens a store's folder or an external file for pages, closed or still being written.
-
-  A table caches the list of streams briefly, because a page requests it whenever it draws. Thus a live page reads the
-  store's catalog once per redraw and not once per panel.
-  """
+  @moduledoc false
+  # Opens a store's folder or an external file for pages, closed or still being written.
+  #
+  # A table caches the list of streams briefly, because a page requests it whenever it draws. Thus
+  # a live page reads the store's catalog once per redraw and not once per panel.
   @behaviour Situ.Recording
 
   alias Situ.{Error, Recording, Store}

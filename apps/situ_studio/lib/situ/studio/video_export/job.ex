@@ -1,9 +1,8 @@
 defmodule Situ.Studio.VideoExport.Job do
-  @moduledoc """
-  Exports one video for one page: reports the progress to the page, keeps the file until the page is closed, and can be
-  cancelled. The page receives `{:film, key, event}`, where `event` is `{:progress, part}`, `{:done, bytes}` or
-  `{:error, error}`.
-  """
+  @moduledoc false
+  # Exports one video for one page: reports the progress to the page, keeps the file until the
+  # page is closed, and can be cancelled. The page receives `{:film, key, event}`, where `event`
+  # is `{:progress, part}`, `{:done, bytes}` or `{:error, error}`.
   use GenServer, restart: :temporary
 
   alias Situ.Studio.{Catalog, VideoExport}

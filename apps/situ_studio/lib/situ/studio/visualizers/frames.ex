@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Visualizers.Frames do
-  @moduledoc """
-  Draws a tree of frames of reference, and gives the panel's other layers, which may be in one of these frames, the pose
-  of each frame in its root. The panel is drawn in the frame `fixed`, or in the first root.
-  """
+  @moduledoc false
+  # Draws a tree of frames of reference, and gives the panel's other layers, which may be in one
+  # of these frames, the pose of each frame in its root. The panel is drawn in the frame `fixed`,
+  # or in the first root.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Space.FrameTree

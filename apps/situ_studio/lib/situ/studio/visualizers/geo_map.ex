@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Visualizers.GeoMap do
-  @moduledoc """
-  Draws positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the track of the whole
-  recording, and the position at the cursor. `Situ.GeoPoint.from_data/1` lists the values that are positions.
-  """
+  @moduledoc false
+  # Draws positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map:
+  # the track of the whole recording, and the position at the cursor. `Situ.GeoPoint.from_data/1`
+  # lists the values that are positions.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.GeoPoint

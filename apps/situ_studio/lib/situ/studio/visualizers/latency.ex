@@ -1,5 +1,7 @@
 defmodule Situ.Studio.Visualizers.Latency do
-  @moduledoc "Draws the latency of each message (from originating to creation time, in milliseconds) as a stem."
+  @moduledoc false
+  # Draws the latency of each message (from originating to creation time, in milliseconds) as a
+  # stem.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer, StreamReader}

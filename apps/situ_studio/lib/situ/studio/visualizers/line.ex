@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Line do
-  @moduledoc "Draws one number over time, from a whole stream or from a part of its messages."
+  @moduledoc false
+  # Draws one number over time, from a whole stream or from a part of its messages.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamOverview, Recordings}

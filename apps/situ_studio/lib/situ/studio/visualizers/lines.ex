@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Lines do
-  @moduledoc """
-  Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
-  """
+  @moduledoc false
+  # Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a
+  # gap.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamOverview}

@@ -1,10 +1,6 @@
 defmodule Situ.Studio.Visualizers.Log do
-  @moduledoc """
-  Lists the messages around the cursor, each with its time and a short text.
-
-      iex> Situ.Studio.Visualizers.Log.build_row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
-      ["7", "{:ok, 3}"]
-  """
+  @moduledoc false
+  # Lists the messages around the cursor, each with its time and a short text.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Message
@@ -26,7 +22,12 @@ defmodule Situ.Studio.Visualizers.Log do
     Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
   end
 
-  @doc "Returns the time of a message as text, and its value at a path in a few words."
+  @doc """
+  Returns the time of a message as text, and its value at a path in a few words.
+
+      iex> Situ.Studio.Visualizers.Log.build_row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
+      ["7", "{:ok, 3}"]
+  """
   @spec build_row(Message.t(), ValuePath.t()) :: [String.t()]
   def build_row(message, path) do
     said =

@@ -1,14 +1,11 @@
 defmodule Situ.Studio.Visualizers.Masks do
-  @moduledoc """
-  Draws masks over images. The masks are an image whose values are class numbers (`Situ.Infer.Segmentation`), or a list
-  of `:gray8` images, each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the
-  masks as pairs (`{rect, mask}`), or from the stream that has the same number of `Situ.Rect`s at the same time. The
-  page receives masks as runs: a value and its number of repetitions, starting at the upper left corner.
-
-      iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
-      iex> Situ.Studio.Visualizers.Masks.encode_runs(image)
-      %{"width" => 2, "height" => 2, "runs" => [0, 1, 7, 3]}
-  """
+  @moduledoc false
+  # Draws masks over images. The masks are an image whose values are class numbers
+  # (`Situ.Infer.Segmentation`), or a list of `:gray8` images, each bright where the object in its
+  # box is (`Situ.Infer.ObjectDetector`). The boxes come with the masks as pairs (`{rect, mask}`),
+  # or from the stream that has the same number of `Situ.Rect`s at the same time. The page
+  # receives masks as runs: a value and its number of repetitions, starting at the upper left
+  # corner.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.{Image, Rect}
@@ -136,7 +133,13 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   defp common_prefix_size(a, b), do: :binary.longest_common_prefix([a, b])
 
-  @doc "Encodes a `:gray8` image as runs."
+  @doc """
+  Encodes a `:gray8` image as runs.
+
+      iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
+      iex> Situ.Studio.Visualizers.Masks.encode_runs(image)
+      %{"width" => 2, "height" => 2, "runs" => [0, 1, 7, 3]}
+  """
   @spec encode_runs(Image.t()) :: map()
   def encode_runs(%Image{width: w, height: h} = image),
     do: %{"width" => w, "height" => h, "runs" => image |> Image.pixel_bytes() |> collect_runs([])}

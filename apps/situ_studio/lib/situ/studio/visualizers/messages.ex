@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Messages do
-  @moduledoc "Draws a mark at the time of each message."
+  @moduledoc false
+  # Draws a mark at the time of each message.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer, StreamReader}

@@ -1,17 +1,11 @@
 defmodule Situ.Studio.Visualizers.Shapes do
-  @moduledoc """
-  Draws rectangles, points, lines and texts over images. It finds them in any term: a `Situ.Rect`, a `Situ.Point2`, a
-  line (a pair of points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs with such
-  fields (a face with its box and landmarks). A trail shows where they were in the last seconds.
-
-  A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
-
-      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([%Situ.Point2{x: 1.0, y: 2.0}])
-      %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
-      iex> point = &%Situ.Point2{x: &1, y: &2}
-      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([{point.(1, 2), point.(3, 4)}, nil])["lines"]
-      [[1, 2, 3, 4]]
-  """
+  @moduledoc false
+  # Draws rectangles, points, lines and texts over images. It finds them in any term: a
+  # `Situ.Rect`, a `Situ.Point2`, a line (a pair of points, or a map of two points `from` and
+  # `to`), lists, tuples and maps of them, and structs with such fields (a face with its box and
+  # landmarks). A trail shows where they were in the last seconds.
+  #
+  # A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamReader}
@@ -86,7 +80,15 @@ defmodule Situ.Studio.Visualizers.Shapes do
     end
   end
 
-  @doc "Returns the shapes to draw, in the page's format."
+  @doc """
+  Returns the shapes to draw, in the page's format.
+
+      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([%Situ.Point2{x: 1.0, y: 2.0}])
+      %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
+      iex> point = &%Situ.Point2{x: &1, y: &2}
+      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([{point.(1, 2), point.(3, 4)}, nil])["lines"]
+      [[1, 2, 3, 4]]
+  """
   @spec collect_shapes(term()) :: map()
   def collect_shapes(term) do
     {rects, points, texts, _} = collect_term(term, nil, {[], [], [], @limit}, 0)

@@ -1,9 +1,8 @@
 defmodule Situ.Studio.Visualizers.Spectrogram do
-  @moduledoc """
-  Draws the frequencies of audio over time. The page receives a short segment of audio for each of several hundred
-  positions in the window and transforms them in a worker. When the view is zoomed out, the segments are samples of the
-  audio.
-  """
+  @moduledoc false
+  # Draws the frequencies of audio over time. The page receives a short segment of audio for each
+  # of several hundred positions in the window and transforms them in a worker. When the view is
+  # zoomed out, the segments are samples of the audio.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, AudioSamples, Visualizer, StreamReader}

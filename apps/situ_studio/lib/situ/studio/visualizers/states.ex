@@ -1,5 +1,7 @@
 defmodule Situ.Studio.Visualizers.States do
-  @moduledoc "Draws states that hold until the next message: booleans, atoms, and maps of them with a lane per key."
+  @moduledoc false
+  # Draws states that hold until the next message: booleans, atoms, and maps of them with a lane
+  # per key.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Visualizer, StreamOverview, StreamReader}

@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Visualizers.Trail do
-  @moduledoc """
-  Draws the past positions of objects in space: the points of every message in the last seconds before the cursor, and a
-  line through the first point of each message.
-  """
+  @moduledoc false
+  # Draws the past positions of objects in space: the points of every message in the last seconds
+  # before the cursor, and a line through the first point of each message.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValuePath, Scene, Visualizer, StreamReader}

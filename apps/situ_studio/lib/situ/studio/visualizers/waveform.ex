@@ -1,9 +1,8 @@
 defmodule Situ.Studio.Visualizers.Waveform do
-  @moduledoc """
-  Draws audio as the band between its extremes, for all channels together or for one channel. A single channel is
-  computed from the samples. A window of more than two minutes therefore shows all channels together, and the frame
-  marks this.
-  """
+  @moduledoc false
+  # Draws audio as the band between its extremes, for all channels together or for one channel. A
+  # single channel is computed from the samples. A window of more than two minutes therefore shows
+  # all channels together, and the frame marks this.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.{AudioBuffer, AudioFormat, AudioOps}

@@ -1,9 +1,10 @@
 defmodule Situ.Infer.Speech.WakeWord.KeywordSpotter do
-  @moduledoc """
-  Detects a name by its sound with PocketSphinx's keyword search. Names of three or more syllables are more reliable.
-
-  Options: `phrase:` (English words of its dictionary) and `threshold:` (see `Situ.Infer.Speech.PocketSphinx`).
-  """
+  @moduledoc false
+  # Detects a name by its sound with PocketSphinx's keyword search. Names of three or more
+  # syllables are more reliable.
+  #
+  # Options: `phrase:` (English words of its dictionary) and `threshold:` (see
+  # `Situ.Infer.Speech.PocketSphinx`).
   @behaviour Situ.Infer.Speech.WakeWord
   alias Situ.Infer.Speech.PocketSphinx
 
