@@ -93,7 +93,9 @@ defmodule Situ.Studio.Frame do
           more: non_neg_integer()
         ) :: t()
   def lines(channel, lines, raw?, opts \\ []) do
-    base = lines |> Enum.map(fn {_, points} -> first_time(points) end) |> Enum.min(fn -> 0 end)
+    # An empty line has no time. Relative times are exact only near the base.
+    times = for {_name, [_ | _] = points} <- lines, do: first_time(points)
+    base = Enum.min(times, fn -> 0 end)
 
     payload =
       for {name, points} <- lines do
