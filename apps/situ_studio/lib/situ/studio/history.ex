@@ -99,11 +99,19 @@ defmodule Situ.Studio.History do
 
   # Makes room for a message that is not the last one: a resumed pipeline may fill an earlier gap. Returns its number.
   defp renumber_later(%{messages: messages} = history, name, {name, time} = key, next) do
-    ordinal = :ets.lookup_element(messages, key, 4)
-    _ = renumber_later(history, name, :ets.next(messages, key), next)
-    :ets.insert(history.ordinals, {{name, ordinal + 1}, time})
-    :ets.update_element(messages, key, {4, ordinal + 1})
-    ordinal
+    found = :ets.match(messages, {key, :_, :_, :"$1"})
+    following = renumber_later(history, name, :ets.next(messages, key), next)
+
+    case found do
+      [[ordinal]] ->
+        :ets.insert(history.ordinals, {{name, ordinal + 1}, time})
+        :ets.update_element(messages, key, {4, ordinal + 1})
+        ordinal
+
+      # The message has just expired.
+      [] ->
+        following
+    end
   end
 
   defp renumber_later(_history, _name, _end_of_stream, next), do: next
