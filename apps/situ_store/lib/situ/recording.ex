@@ -54,6 +54,11 @@ defmodule Situ.Recording do
             ) :: {:ok, [Situ.Message.t()], non_neg_integer()} | error()
   @doc "Returns one stream by name without loading the others."
   @callback stream(state(), String.t()) :: {:ok, StreamInfo.t()} | error()
+  @doc """
+  Returns the last message at or before a time, or `nil`, for a module for which `c:seek/3` and `c:read/6` are slow.
+  """
+  @callback latest_at(state(), StreamInfo.t(), Situ.Time.t()) ::
+              {:ok, Situ.Message.t() | nil} | error()
   @doc "Returns the current number of messages without the other statistics of `streams/1`."
   @callback count(state(), StreamInfo.t()) :: non_neg_integer()
   @doc """
@@ -108,6 +113,7 @@ defmodule Situ.Recording do
   @callback notify(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
 
   @optional_callbacks stream: 2,
+                      latest_at: 3,
                       count: 2,
                       summary: 5,
                       tracks: 6,

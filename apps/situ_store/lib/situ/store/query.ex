@@ -145,26 +145,34 @@ defmodule Situ.Store.Query do
   end
 
   @spec messages(Recording.t(), name(), keyword()) :: Enumerable.t()
-  def messages(store, name, opts \\ []),
-    do: in_batches(store, name, Options.validate!(opts, @message_options), @batch)
-
-  defp in_batches(store, name, opts, size) do
+  def messages(store, name, opts \\ []) do
+    opts = Options.validate!(opts, @message_options)
     info = unwrap!(stream_info(store, name))
-    type = if opts[:envelopes], do: nil, else: opts[:type]
-    upgrade = SchemaEvolution.build_upgrade!(info, type)
-    to = opts[:to] || :unbounded
+    read = batch_reader(store, info, opts)
 
     Stream.resource(
       fn -> first_ordinal(store, info, opts) end,
       fn ordinal ->
-        case read_batch(store, info, ordinal, to, size, opts) do
-          {:ok, [], _} -> {:halt, ordinal}
-          {:ok, messages, next} -> {upgrade.(messages), next}
-          {:error, error} -> raise error
+        case read.(ordinal, @batch) do
+          {[], _} -> {:halt, ordinal}
+          batch -> batch
         end
       end,
       fn _ -> :ok end
     )
+  end
+
+  defp batch_reader(store, info, opts) do
+    type = if opts[:envelopes], do: nil, else: opts[:type]
+    upgrade = SchemaEvolution.build_upgrade!(info, type)
+    to = opts[:to] || :unbounded
+
+    fn ordinal, size ->
+      case read_batch(store, info, ordinal, to, size, opts) do
+        {:ok, messages, next} -> {upgrade.(messages), next}
+        {:error, error} -> raise error
+      end
+    end
   end
 
   @doc "Returns the ordinal at which reading with these options begins."
@@ -184,10 +192,21 @@ defmodule Situ.Store.Query do
   def read(store, name, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @read_options) do
       {limit, opts} = Keyword.pop(opts, :limit)
-      {:ok, store |> in_batches(name, opts, min(limit, @batch)) |> Enum.take(limit)}
+      info = unwrap!(stream_info(store, name))
+      read = batch_reader(store, info, opts)
+      {:ok, read |> read_batches(first_ordinal(store, info, opts), limit) |> Enum.take(limit)}
     end
   rescue
     error in Error -> {:error, error}
+  end
+
+  defp read_batches(_read, _ordinal, limit) when limit <= 0, do: []
+
+  defp read_batches(read, ordinal, limit) do
+    case read.(ordinal, min(limit, @batch)) do
+      {[], _} -> []
+      {messages, next} -> messages ++ read_batches(read, next, limit - length(messages))
+    end
   end
 
   @spec at(Recording.t(), name(), integer(), keyword()) ::
@@ -235,8 +254,15 @@ defmodule Situ.Store.Query do
   @spec latest_at(Recording.t(), name(), Situ.Time.t()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def latest_at(store, name, time) do
-    with {:ok, info} <- stream_info(store, name),
-         {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
+    with {:ok, info} <- stream_info(store, name) do
+      if Recording.implements?(store, :latest_at, 3),
+        do: store.module.latest_at(store.state, info, time),
+        else: seek_latest(store, info, time)
+    end
+  end
+
+  defp seek_latest(store, info, time) do
+    with {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
          do: read_message(store, info, ordinal - 1, to: time)
   end
 

@@ -22,6 +22,11 @@ defmodule Situ.Studio.History do
   # This time is earlier than any other.
   @before_all -0x8000000000000000
 
+  # One select reads many messages faster than single lookups, but it passes over all messages of the stream.
+  @many 1_000
+  @lookup_cost 10
+  @most_selected 1_000_000
+
   @type t :: %__MODULE__{
           messages: :ets.table(),
           ordinals: :ets.table(),
@@ -94,11 +99,19 @@ defmodule Situ.Studio.History do
 
   # Makes room for a message that is not the last one: a resumed pipeline may fill an earlier gap. Returns its number.
   defp renumber_later(%{messages: messages} = history, name, {name, time} = key, next) do
-    ordinal = :ets.lookup_element(messages, key, 4)
-    _ = renumber_later(history, name, :ets.next(messages, key), next)
-    :ets.insert(history.ordinals, {{name, ordinal + 1}, time})
-    :ets.update_element(messages, key, {4, ordinal + 1})
-    ordinal
+    found = :ets.match(messages, {key, :_, :_, :"$1"})
+    following = renumber_later(history, name, :ets.next(messages, key), next)
+
+    case found do
+      [[ordinal]] ->
+        :ets.insert(history.ordinals, {{name, ordinal + 1}, time})
+        :ets.update_element(messages, key, {4, ordinal + 1})
+        ordinal
+
+      # The message has just expired.
+      [] ->
+        following
+    end
   end
 
   defp renumber_later(_history, _name, _end_of_stream, next), do: next
@@ -206,7 +219,7 @@ defmodule Situ.Studio.History do
   end
 
   @doc """
-  Reads up to `limit` messages at or before `to` from a number on, and returns them with the next number. Raises the
+  Reads about `limit` messages at or before `to` from a number on, and returns them with the next number. Raises the
   error `:gone`.
   """
   @spec read_messages(
@@ -217,8 +230,13 @@ defmodule Situ.Studio.History do
           pos_integer()
         ) :: {[Message.t()], non_neg_integer()}
   def read_messages(%__MODULE__{messages: messages} = history, name, ordinal, to, limit) do
-    messages
-    |> collect_rows(first_key(history, name, ordinal), {name, to}, limit)
+    key = first_key(history, name, ordinal)
+
+    if select?(history, key, {name, ordinal, to}, limit) do
+      select_rows(messages, key, to)
+    else
+      collect_rows(messages, key, {name, to}, limit)
+    end
     |> Enum.map_reduce(ordinal, fn {_, message, _, ordinal}, _ -> {message, ordinal + 1} end)
   rescue
     ArgumentError -> raise gone_error()
@@ -235,7 +253,27 @@ defmodule Situ.Studio.History do
     end
   end
 
+  defp select?(history, {_, _}, {name, ordinal, to}, limit) when limit >= @many do
+    stop =
+      if to == :unbounded,
+        do: next_ordinal(history, name),
+        else: find_ordinal(history, name, to + 1)
+
+    (stop - ordinal) * @lookup_cost > :ets.info(history.messages, :size)
+  end
+
+  defp select?(_history, _key, _window, _limit), do: false
+
   # The atom `:unbounded` sorts after all numbers.
+  defp select_rows(messages, {name, from}, to) do
+    guards = [{:>=, :"$1", from}, {:"=<", :"$1", to}]
+
+    case :ets.select(messages, [{{{name, :"$1"}, :_, :_, :_}, guards, [:"$_"]}], @most_selected) do
+      {rows, _continuation} -> rows
+      :"$end_of_table" -> []
+    end
+  end
+
   defp collect_rows(messages, {name, time} = key, {name, to} = stop, limit)
        when limit > 0 and time <= to do
     next = :ets.next(messages, key)

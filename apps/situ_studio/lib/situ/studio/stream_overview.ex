@@ -9,6 +9,8 @@ defmodule Situ.Studio.StreamOverview do
   # Up to this many messages are read individually, and up to this many changes are returned.
   @few 2_000
   @changes 2_000
+  # Up to this many computed messages are folded into a signal.
+  @folded 200_000
   # The shape of a stream is determined from this many messages.
   @inside 8
 
@@ -101,7 +103,7 @@ defmodule Situ.Studio.StreamOverview do
     with {:ok, info} <- Store.stream_info(recording, name),
          {:ok, n} <- Store.count(recording, info, from, to) do
       if n > bins or elem(look_inside(recording, info), 0) == :audio,
-        do: read_summary_points(recording, info, {from, to}, bin, bins),
+        do: read_summary_points(recording, info, {from, to}, bin, n),
         else: read_points(recording, info, from, to, n)
     end
   end
@@ -113,19 +115,29 @@ defmodule Situ.Studio.StreamOverview do
     end
   end
 
-  # Without a stored summary, the messages are folded, or a sample of them.
-  defp read_summary_points(recording, %{extra: %{summary: :none}} = info, {from, to}, bin, bins) do
-    with {:ok, messages, _all?} <-
-           WindowMessages.fetch_around(recording, %{stream: info}, from, to) do
-      points = Enum.flat_map(messages, &Bins.message_points/1)
-      {points, raw?} = Bins.fold_points(points, bin, bins + 32)
+  # Without a stored summary, the messages are folded, or a sample of computed messages if there are too many.
+  defp read_summary_points(recording, %{extra: %{summary: :none}} = info, {from, to}, bin, n) do
+    with {:ok, points} <- read_or_sample_points(recording, info, {from, to}, n) do
+      {points, raw?} = Bins.fold_points(points, bin, max(div(to - from, bin), 2) + 32)
       {:ok, points, raw?}
     end
   end
 
-  defp read_summary_points(recording, info, {from, to}, _bin, bins) do
+  defp read_summary_points(recording, info, {from, to}, bin, _n) do
+    bins = max(div(to - from, bin), 2)
+
     with {:ok, _width, rows} <- Store.summary(recording, info, from, to, bins),
          do: {:ok, rows, false}
+  end
+
+  defp read_or_sample_points(recording, info, {from, to}, n) do
+    if n <= @folded or is_map_key(info.extra, :kept) do
+      with {:ok, points, true} <- read_points(recording, info, from, to, n), do: {:ok, points}
+    else
+      with {:ok, messages, _all?} <-
+             WindowMessages.fetch_around(recording, %{stream: info}, from, to),
+           do: {:ok, Enum.flat_map(messages, &Bins.message_points/1)}
+    end
   end
 
   @doc """

@@ -93,7 +93,21 @@ defmodule Situ.Studio.StreamReader do
          do: sample_stream(recording, info, from, to, n)
   end
 
-  defp sample_stream(recording, info, from, to, keep, opts \\ []) do
+  defp sample_stream(recording, info, from, to, keep, opts \\ [])
+
+  # The messages of several streams together are sampled by time. There may be others between them, so no two of them
+  # have adjacent positions.
+  defp sample_stream(recording, %{extra: %{bases: [_, _ | _]}} = info, from, to, keep, _opts) do
+    messages =
+      for i <- 1..keep//1,
+          {:ok, message} <- [latest_at(recording, info, from + div((to - from) * i, keep))],
+          message.originating_time >= from,
+          do: message
+
+    {:ok, messages |> Enum.dedup() |> Enum.with_index(&{2 * &2, &1})}
+  end
+
+  defp sample_stream(recording, info, from, to, keep, opts) do
     with {:ok, first} <- Store.ordinal(recording, info, from),
          {:ok, next} <- Store.ordinal(recording, info, to + 1) do
       n = max(next - first, 0)

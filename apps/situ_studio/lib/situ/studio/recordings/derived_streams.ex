@@ -157,6 +157,14 @@ defmodule Situ.Studio.Recordings.DerivedStreams do
 
   def seek(_derived, info, time), do: Origin.seek(info, time)
 
+  # The positions of several streams together would have to be searched.
+  @impl true
+  def latest_at(%{recording: recording}, %{extra: %{expression: _}} = info, time),
+    do: ExpressionReader.latest_at(recording, info, time)
+
+  def latest_at(_derived, %{extra: %{origin: {recording, info}}}, time),
+    do: Store.latest_at(recording, info, time)
+
   @impl true
   def read(%{recording: recording}, %{extra: %{expression: _}} = info, ordinal, to, limit, opts),
     do: ExpressionReader.read_messages(recording, info, {ordinal, to, limit}, opts)

@@ -18,6 +18,23 @@ defmodule Situ.Studio.Recordings.ExpressionReader do
          do: {:ok, %{time: time, ordinals: ordinals, position: Enum.sum(ordinals)}}
   end
 
+  @spec latest_at(Recording.t(), StreamInfo.t(), Situ.Time.t()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def latest_at(recording, %{extra: %{bases: bases, expression: expression}}, time) do
+    with {:ok, found} <- Error.map_ok(bases, &Store.latest_at(recording, &1, time)) do
+      case for(
+             {%{name: name}, %Message{} = m} <- Enum.zip(bases, found),
+             into: %{},
+             do: {name, m}
+           ) do
+        none when none == %{} -> {:ok, nil}
+        env -> {:ok, evaluate_message(expression, env, newest(env).originating_time, [])}
+      end
+    end
+  end
+
+  defp newest(messages), do: messages |> Map.values() |> Enum.max_by(& &1.originating_time)
+
   @spec read_messages(
           Recording.t(),
           StreamInfo.t(),
@@ -64,7 +81,7 @@ defmodule Situ.Studio.Recordings.ExpressionReader do
     with {:ok, low} <- seek_start(recording, bases, from),
          {:ok, high} <- seek_start(recording, bases, to + 1),
          {:ok, low, high} <- extend_high(recording, bases, low, high, position),
-         do: narrow_start(recording, bases, low, high, {position, true})
+         do: narrow_start(recording, bases, low, high, {position, 0})
   end
 
   defp max_last(times), do: Enum.max(for({_, t} <- times, do: t), fn -> 0 end)
@@ -83,26 +100,30 @@ defmodule Situ.Studio.Recordings.ExpressionReader do
 
   defp extend_high(_recording, _bases, low, high, _position), do: {:ok, low, high}
 
-  # Interpolation finds the time within a few steps if the rate is steady, and bisection always does.
-  defp narrow_start(recording, bases, low, high, {position, interpolate?}) do
+  # Interpolation finds the time from both sides within a few steps if the rate is steady, and bisection always does.
+  defp narrow_start(recording, bases, low, high, {position, step}) do
     if low.position >= position or high.position - low.position <= length(bases) or
          high.time - low.time <= 1 do
       {:ok, low}
     else
       with {:ok, middle} <-
-             seek_start(recording, bases, guess_time(low, high, position, interpolate?)) do
-        step = {position, not interpolate?}
-
+             seek_start(recording, bases, guess_time(low, high, {position, length(bases)}, step)) do
         if middle.position <= position,
-          do: narrow_start(recording, bases, middle, high, step),
-          else: narrow_start(recording, bases, low, middle, step)
+          do: narrow_start(recording, bases, middle, high, {position, step + 1}),
+          else: narrow_start(recording, bases, low, middle, {position, step + 1})
       end
     end
   end
 
-  defp guess_time(low, high, _position, false), do: div(low.time + high.time, 2)
+  defp guess_time(low, high, {position, n}, step) do
+    case rem(step, 3) do
+      0 -> interpolate_time(low, high, position)
+      1 -> interpolate_time(low, high, position + n)
+      2 -> div(low.time + high.time, 2)
+    end
+  end
 
-  defp guess_time(low, high, position, true) do
+  defp interpolate_time(low, high, position) do
     span = high.time - low.time
     part = div(span * (position - low.position), high.position - low.position)
     low.time + (part |> max(1) |> min(span - 1))
@@ -126,7 +147,7 @@ defmodule Situ.Studio.Recordings.ExpressionReader do
 
   # Evaluates an expression at a time, given the latest message of each stream.
   defp evaluate_message(expression, messages, time, opts) do
-    newest = messages |> Map.values() |> Enum.max_by(& &1.originating_time)
+    newest = newest(messages)
 
     if opts[:envelopes],
       do: %{newest | data: nil, originating_time: time},
