@@ -24,7 +24,12 @@ defmodule Situ.Store.Editing do
   @spec edit_options() :: Situ.Options.schema()
   def edit_options, do: @options
 
-  @spec edit(Path.t(), Path.t() | {String.t(), Path.t()}, %{String.t() => [Situ.Store.edit()]}, keyword()) ::
+  @spec edit(
+          Path.t(),
+          Path.t() | {String.t(), Path.t()},
+          %{String.t() => [Situ.Store.edit()]},
+          keyword()
+        ) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def edit(from, to, edits, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
