@@ -15,8 +15,8 @@ defmodule Situ.Dataset do
       iex> File.rm_rf!(folder) != []
       true
 
-  `open/1` accepts a dataset file, a `.pds` file of \\psi, a folder of recordings, or one recording. A dataset is a plain
-  value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved atomically before it returns;
+  `open/1` accepts a dataset file, a `.pds` file of \\psi, a folder of recordings, or one recording. A dataset is a
+  plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved atomically before it returns;
   otherwise `unsaved?` is true. Edits that another program has saved are never overwritten: `save/1` returns an error in
   this case, and `update/2` edits the current content of the file. `Situ.Dataset.Server` is a process that shares a
   dataset between several users and notifies them of changes.

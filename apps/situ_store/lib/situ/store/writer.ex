@@ -206,8 +206,8 @@ defmodule Situ.Store.Writer do
   defp kind_of(_), do: ":any"
 
   @doc """
-  Appends and commits all messages, or none of them. The next call takes the returned stream. Originating times must increase. `creation_time` and `sequence_id`
-  are kept.
+  Appends and commits all messages, or none of them. The next call takes the returned stream. Originating times must
+  increase. `creation_time` and `sequence_id` are kept.
   """
   @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append(stream, []), do: {:ok, stream}

@@ -86,8 +86,8 @@ defmodule Situ.Studio.Frame do
   end
 
   @doc """
-  Encodes a signal: points `{time, min, max, last, count}` in time order. A gap has `nil` as `min`, `max` and `last`. With
-  `raw?`, each point is one message.
+  Encodes a signal: points `{time, min, max, last, count}` in time order. A gap has `nil` as `min`, `max` and `last`.
+  With `raw?`, each point is one message.
   """
   @spec series(channel(), [Bins.point() | Bins.gap()], boolean(),
           sampled: boolean(),

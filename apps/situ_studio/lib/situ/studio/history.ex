@@ -6,7 +6,7 @@ defmodule Situ.Studio.History do
 
       iex> history = Situ.Studio.History.new(seconds: 60)
       iex> Situ.Studio.History.put(history, "level", %Situ.Message{data: 1.5, originating_time: 10}, 8)
-      iex> recording = Situ.Studio.History.to_recording(history)
+      iex> recording = Situ.Studio.Recordings.History.wrap(history)
       iex> {:ok, message} = Situ.Store.latest_at(recording, "level", 11)
       iex> message.data
       1.5
@@ -57,10 +57,6 @@ defmodule Situ.Studio.History do
       live: Keyword.get(opts, :live, true)
     }
   end
-
-  @doc "Returns the history as a `Situ.Recording`. A stream that has no messages yet is an empty stream."
-  @spec to_recording(t()) :: Situ.Recording.t()
-  defdelegate to_recording(history), to: Situ.Studio.Recordings.History, as: :wrap
 
   @doc "Adds a stream before its first message; `type` as in `Situ.Type`."
   @spec open_stream(t(), String.t(), Situ.Type.t()) :: :ok
