@@ -2,7 +2,8 @@ defmodule Situ.Query do
   @moduledoc """
   Finds the intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
 
-      {:ok, found} = Situ.Query.run(open_session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
+      session = Situ.Dataset.OpenSession.open(session)
+      {:ok, found} = Situ.Query.run(session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
       found.intervals
       #=> [{1700000012000000000, 1700000013500000000}, ...]
 

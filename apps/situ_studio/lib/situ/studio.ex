@@ -13,14 +13,12 @@ defmodule Situ.Studio do
   The studio listens on `127.0.0.1`. If it is configured to listen on another address, browsers need a token; `url/1`
   returns the address that includes it.
 
-
   ## How it works
 
   The page is a LiveView (`Situ.Live`): a process on the server provides streams, layout and properties. The page
   itself handles times, the cursor and drawing. Data arrives over one WebSocket, as binary replies to the page's
-  requests (`Situ.Studio.DataSession`, `Situ.Studio.Frame`). At most one request is in flight, so a slow browser sends
-  fewer requests and slows nothing else down. Each visualizer has a module here and one in the page
-  (`Situ.Studio.Visualizer`).
+  requests (`Situ.Studio.Frame`). At most one request is in flight, so a slow browser sends fewer requests and slows
+  nothing else down. Each visualizer has a module here and one in the page (`Situ.Studio.Visualizer`).
   """
 
   @schema [
@@ -39,8 +37,8 @@ defmodule Situ.Studio do
       type: {:optional, {:fun, 1}},
       default: nil,
       doc:
-        "Finds a recording on another node, `NODE/NAME`: returns its address and the options of its reader " <>
-          "(`Situ.Cluster.Recordings.fetch_address/1`)."
+        "Finds a recording on another node by `NODE/NAME`: returns `{:ok, address, reader_opts}` or an error. " <>
+          "The studio of a cluster sets it."
     ],
     sources: [
       type: :map,
@@ -71,7 +69,7 @@ defmodule Situ.Studio do
       doc:
         "`certfile:` and `keyfile:` of a certificate, or `:own` to generate one for this " <>
           "machine's names and store it " <>
-          "in the user's configuration folder (`Situ.Link.Certificate`)."
+          "in the user's configuration folder."
     ],
     hosts: [type: :any, default: nil, doc: "Host names that the server accepts; see `Situ.Live`."],
     public: [

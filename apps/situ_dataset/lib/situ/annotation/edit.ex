@@ -1,18 +1,7 @@
 defmodule Situ.Annotation.Edit do
-  @moduledoc false
-  # Edits that change several annotations of a `Situ.Annotation.Layer` together: shared edges,
-  # complete tracks, splits and proposals. Each returns `{:ok, layer, transaction}` and can be
-  # undone in one step.
-  alias Situ.Annotation
-  alias Situ.Annotation.{Layer, Schema}
-  alias Situ.Error
-
-  @doc """
-  Moves one end (`:from` or `:to`) of an annotation to `time`. A neighbour that touches this end moves along, unless
-  `alone: true` is given; otherwise the edge stops at the neighbour. The edge also stops at the annotation's other
-  end.
-
-  The annotation in the returned layer shows the time that the edge was moved to.
+  @moduledoc """
+  Edits that change several annotations of a `Situ.Annotation.Layer` together: shared edges, complete tracks, splits
+  and proposals. Each returns `{:ok, layer, transaction}` and can be undone in one step.
 
       iex> alias Situ.Annotation.{Edit, Layer, Schema}
       iex> {:ok, layer} = Layer.new(Schema.text("Words"),
@@ -23,6 +12,17 @@ defmodule Situ.Annotation.Edit do
       iex> {:ok, layer, _} = Edit.split_annotation(layer, 1, 4)
       iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
       [{0, 4}, {4, 12}, {12, 20}]
+  """
+  alias Situ.Annotation
+  alias Situ.Annotation.{Layer, Schema}
+  alias Situ.Error
+
+  @doc """
+  Moves one end (`:from` or `:to`) of an annotation to `time`. A neighbour that touches this end moves along, unless
+  `alone: true` is given; otherwise the edge stops at the neighbour. The edge also stops at the annotation's other
+  end.
+
+  The annotation in the returned layer shows the time that the edge was moved to.
   """
   @spec move_edge(Layer.t(), Layer.id(), :from | :to, Situ.Time.t(), keyword()) :: Layer.edited()
   def move_edge(%Layer{} = layer, id, edge, time, opts \\ []) when edge in [:from, :to] do

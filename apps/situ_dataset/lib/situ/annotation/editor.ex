@@ -1,41 +1,6 @@
 defmodule Situ.Annotation.Editor do
-  @moduledoc false
-  # Edits one annotation stream: undo and redo, several users, and a journal that survives a
-  # crash.
-  #
-  # Options of `start_link/1`: `path:` (the annotation store, `ROOT/NAME`; the editor opens its
-  # newest version), `stream:`, `schema:` (for a stream that does not exist yet), and GenServer
-  # options such as `name:`.
-  #
-  # Every transaction is appended to `ROOT/NAME.STREAM.journal` and is on disk before `edit/2`
-  # returns. `save/1` writes a new version of the store (`Situ.Annotation.Recording`) and removes
-  # the journal. An editor that starts after a crash replays the journal; `recovered` in
-  # `status/1` is the number of replayed transactions. Subscribers receive `{:situ_annotation,
-  # pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
-  #
-  # Only one editor at a time can have unsaved edits of a stream, across all computers that share
-  # the folder. From its first edit until its next save it holds a lock
-  # (`ROOT/NAME.STREAM.journal.lock`). Other editors see the last saved version; their edits fail
-  # with `:being_edited`, which reports the program, process and computer that hold the lock, and
-  # since when. The operating system releases the lock of a program that dies, so that another
-  # editor can recover its journal.
-  #
-  # Editors of different streams in one store save independently: a new version includes the
-  # latest saved version of every other stream, even if another operating-system process saved it.
-  # If another program has saved the same stream, the next edit (or `refresh/1`) loads its
-  # annotations and schema and reapplies the unsaved edits. If the edits cannot be reapplied, they
-  # are kept: the next save writes them as the newest version, and `shadowed` in `status/1` names
-  # the other program's version, which is kept, too.
-  # See docs/adr/0091-annotations-are-streams-with-versions.md.
-  use GenServer
-  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, StoreVersions}
-  alias Situ.Error
-  alias Situ.Store.FileLock
-
-  @type server :: GenServer.server()
-
-  @doc """
-  Starts an editor. Errors: `:no_schema`, `:bad_journal` and the errors of the store.
+  @moduledoc """
+  Edits one annotation stream: undo and redo, several users, and a journal that survives a crash.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-editor/annotation")
       iex> alias Situ.Annotation.{Editor, Layer, Schema}
@@ -51,6 +16,37 @@ defmodule Situ.Annotation.Editor do
       iex> :ok = Editor.stop(editor)
       iex> File.rm_rf!(Path.dirname(path)) != []
       true
+
+  Every transaction is appended to `ROOT/NAME.STREAM.journal` and is on disk before `edit/2` returns. `save/1`
+  writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal. An editor that starts
+  after a crash replays the journal; `recovered` in `status/1` is the number of replayed transactions. Subscribers
+  receive `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid,
+  :saved}`.
+
+  Only one editor at a time can have unsaved edits of a stream, across all computers that share the folder. From its
+  first edit until its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Other editors see the last saved
+  version; their edits fail with `:being_edited`, which reports the program, process and computer that hold the lock,
+  and since when. The operating system releases the lock of a program that dies, so that
+  another editor can recover its journal.
+
+  Editors of different streams in one store save independently: a new version includes the latest saved version of
+  every other stream, even if another operating-system process saved it. If another program has saved the same
+  stream, the next edit (or `refresh/1`) loads its annotations and schema and reapplies the unsaved edits. If the
+  edits cannot be reapplied, they are kept: the next save writes them as the newest version, and `shadowed` in
+  `status/1` names the other program's version, which is kept, too.
+  """
+  # See docs/adr/0091-annotations-are-streams-with-versions.md.
+  use GenServer
+  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, StoreVersions}
+  alias Situ.Error
+  alias Situ.Store.FileLock
+
+  @type server :: GenServer.server()
+
+  @doc """
+  Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
+  `stream:`, `schema:` (for a stream that does not exist yet), and GenServer options such as `name:`. Errors:
+  `:no_schema`, `:bad_journal` and the errors of the store.
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do

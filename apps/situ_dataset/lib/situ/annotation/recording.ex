@@ -1,15 +1,14 @@
 defmodule Situ.Annotation.Recording do
-  @moduledoc false
-  # Reads annotations from a stream of a recording, and writes them to a separate store next to
-  # the annotated recording.
-  #
-  #     {:ok, layer} = Situ.Annotation.Recording.load_layer(store, "Speech")
-  #     {:ok, path} = Situ.Annotation.Recording.write(layer, "study/p01/annotation", "Speech")
-  #
-  # A stored version never changes. Writing atomically creates a new version (`annotation.0001`,
-  # `annotation.0002` ...), so every earlier state can still be opened. The recording of the
-  # session is never modified, and it may still be in progress. The schema is stored as
-  # supplemental metadata of the stream, in its JSON form.
+  @moduledoc """
+  Reads annotations from a stream of a recording, and writes them to a separate store next to the annotated recording.
+
+      {:ok, layer} = Situ.Annotation.Recording.load_layer(store, "Speech")
+      {:ok, path} = Situ.Annotation.Recording.write(layer, "study/p01/annotation", "Speech")
+
+  A stored version never changes. Writing atomically creates a new version (`annotation.0001`, `annotation.0002`
+  ...), so every earlier state can still be opened. The recording of the session is never modified, and it may still
+  be in progress. The schema is stored as supplemental metadata of the stream, in its JSON form.
+  """
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Psi, Schema}
   alias Situ.Dataset.StoreVersion

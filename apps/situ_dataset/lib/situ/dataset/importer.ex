@@ -1,15 +1,16 @@
 defmodule Situ.Dataset.Importer do
-  @moduledoc false
-  # Opens all recordings of a session as one importer of a pipeline.
-  #
-  #     Situ.Pipeline.run(fn p ->
-  #       importer = Situ.Dataset.Importer.open(p, session)
-  #       Situ.Dataset.Importer.stream(importer, "[Room]:Loudness") |> Situ.each(&IO.inspect/1)
-  #     end)
-  #
-  # Stream names are resolved as in `Situ.Dataset.OpenSession`; each stream has its own reader.
-  # Partitions that cannot be opened are skipped and listed in `importer.session.troubles`;
-  # requesting a stream of such a partition raises its error.
+  @moduledoc """
+  Opens all recordings of a session as one importer of a pipeline.
+
+      Situ.Pipeline.run(fn p ->
+        importer = Situ.Dataset.Importer.open(p, session)
+        Situ.Dataset.Importer.stream(importer, "[Room]:Loudness") |> Situ.each(&IO.inspect/1)
+      end)
+
+  Stream names are resolved as in `Situ.Dataset.OpenSession`; each stream has its own reader. Partitions that cannot
+  be opened are skipped and listed in `importer.session.troubles`; requesting a stream of such a partition raises
+  its error.
+  """
   alias Situ.Dataset.{OpenSession, Session}
   alias Situ.{Error, Pipeline, Store}
 

@@ -1,16 +1,16 @@
 defmodule Situ.Dataset.OpenSession do
-  @moduledoc false
-  # Opens the recordings of a session, and finds the streams of all partitions by name.
-  #
-  #     {:ok, dataset} = Situ.Dataset.open("study.json")
-  #     {:ok, session} = Situ.Dataset.session(dataset, "p01")
-  #     open = Situ.Dataset.OpenSession.open(session)
-  #     {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "Room.Loudness", from: t0)
-  #     {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
-  #
-  # A stream's name suffices if only one partition has it; otherwise `"[Partition]:Stream"`
-  # selects the partition. Partitions that cannot be opened are listed in `troubles`; the others
-  # can be read.
+  @moduledoc """
+  Opens the recordings of a session, and finds the streams of all partitions by name.
+
+      {:ok, dataset} = Situ.Dataset.open("study.json")
+      {:ok, session} = Situ.Dataset.session(dataset, "p01")
+      open = Situ.Dataset.OpenSession.open(session)
+      {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "Room.Loudness", from: t0)
+      {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
+
+  A stream's name suffices if only one partition has it; otherwise `"[Partition]:Stream"` selects the partition.
+  Partitions that cannot be opened are listed in `troubles`; the others can be read.
+  """
   alias Situ.Dataset.{NameRules, Partition, Session}
   alias Situ.{Error, Store}
 

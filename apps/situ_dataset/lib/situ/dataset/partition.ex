@@ -12,7 +12,7 @@ defmodule Situ.Dataset.Partition do
       :no_store
 
   Fields: `name`, `store` (the recording's name), `path` (absolute), `reader` (the name of a reader module or of a
-  reader of \\psi; `nil` to detect it from the file), `checksum` (`Situ.Dataset.Checksum` or `nil`), `metadata` (a
+  reader of \\psi; `nil` to detect it from the file), `checksum` (from `Situ.Dataset.seal/2`, or `nil`), `metadata` (a
   JSON object), `extra` (unknown fields of the dataset file, which are kept).
   """
   alias Situ.{Error, Store}

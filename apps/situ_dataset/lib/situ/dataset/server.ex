@@ -1,13 +1,20 @@
 defmodule Situ.Dataset.Server do
-  @moduledoc false
-  # Shares a dataset between several users: one process holds it, applies edits one after another,
-  # and notifies subscribers of changes.
-  #
-  # Options of `start_link/1`: `dataset:` (required) and GenServer options such as `name:`. A
-  # change is `:dataset` (always the first: any part of the dataset has changed),
-  # `{:session_added, name}`, `{:session_removed, name}` or `{:session, name}`. Renaming or moving
-  # a session produces both `{:session, new}` and `{:session_removed, old}`. The process ends with
-  # its supervisor without saving; use `autosave: true` if edits must not be lost.
+  @moduledoc """
+  Shares a dataset between several users: one process holds it, applies edits one after another, and notifies
+  subscribers of changes.
+
+      iex> {:ok, dataset} = Situ.Dataset.new("Study")
+      iex> {:ok, server} = Situ.Dataset.Server.start_link(dataset: dataset)
+      iex> :ok = Situ.Dataset.Server.subscribe(server)
+      iex> {:ok, _} = Situ.Dataset.Server.edit(server, &Situ.Dataset.add_session(&1, "p01"))
+      iex> receive do {:situ_dataset, ^server, changes} -> changes end
+      [:dataset, {:session_added, "p01"}]
+
+  A change is `:dataset` (always the first: any part of the dataset has changed), `{:session_added, name}`,
+  `{:session_removed, name}` or `{:session, name}`. Renaming or moving a session produces both `{:session, new}` and
+  `{:session_removed, old}`. The process ends with its supervisor without saving; use `autosave: true` if edits must not
+  be lost.
+  """
   use GenServer
   alias Situ.{Dataset, Error}
 
@@ -17,16 +24,7 @@ defmodule Situ.Dataset.Server do
           | {:session_added, String.t()}
           | {:session_removed, String.t()}
 
-  @doc """
-  Starts the server.
-
-      iex> {:ok, dataset} = Situ.Dataset.new("Study")
-      iex> {:ok, server} = Situ.Dataset.Server.start_link(dataset: dataset)
-      iex> :ok = Situ.Dataset.Server.subscribe(server)
-      iex> {:ok, _} = Situ.Dataset.Server.edit(server, &Situ.Dataset.add_session(&1, "p01"))
-      iex> receive do {:situ_dataset, ^server, changes} -> changes end
-      [:dataset, {:session_added, "p01"}]
-  """
+  @doc "Starts the server. Options: `dataset:` (required), and GenServer options such as `name:`."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts) do
     {%Dataset{} = dataset, opts} = Keyword.pop!(opts, :dataset)

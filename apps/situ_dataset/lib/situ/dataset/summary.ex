@@ -1,14 +1,16 @@
 defmodule Situ.Dataset.Summary do
-  @moduledoc false
-  # Summarizes a partition, a session or a dataset: time spans, sizes and counts. A summary of
-  # several items contains the coverage of their spans and the sums of the other fields.
-  #
-  #   * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there
-  #     are no messages
-  #   * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \psi calls it
-  #     the stream interval)
-  #   * `size`: payload bytes; `streams`, `messages`: counts
-  #   * `unknown`: number of partitions that could not be read and are not included
+  @moduledoc """
+  Summarizes a partition, a session or a dataset: time spans, sizes and counts. `Situ.Dataset.summary/1`,
+  `Situ.Dataset.Session.summary/1` and `Situ.Dataset.Partition.summary/1` return it. A summary of several items contains
+  the coverage of their spans and the sums of the other fields.
+
+    * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there are
+      no messages
+    * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \\psi calls it the
+      stream interval)
+    * `size`: payload bytes; `streams`, `messages`: counts
+    * `unknown`: number of partitions that could not be read and are not included
+  """
   alias Situ.{Interval, Store}
 
   defstruct originating: %Interval{left: 0, right: 0},

@@ -3,7 +3,23 @@ defmodule Situ.Recording.Format do
   The behaviour of file formats that open as recordings.
 
   A module of a format implements `Situ.Recording`, too: `open/2` returns the state that its callbacks receive.
-  `Situ.Recording.Formats` chooses the format of a file.
+
+      defmodule MyFormat do
+        @behaviour Situ.Recording
+        @behaviour Situ.Recording.Format
+
+        @impl true
+        def extensions, do: [".my"]
+        ...
+      end
+
+  `Situ.Store.open/2` chooses the format of a file by its extension, unless its option `reader:` names the module.
+  Formats from the configuration come first, then the formats of loaded applications:
+
+      config :situ_store, formats: [MyFormat]
+
+      # in `application/0` of a library's mix.exs
+      [env: [recording_formats: [MyFormat]]]
   """
 
   @doc "Returns the file name extensions in lower case, with the dot."

@@ -1,14 +1,7 @@
 defmodule Situ.Recording.Formats do
   @moduledoc false
-  # Finds the formats of external files by file extension.
-  #
-  # Formats named in the configuration come first:
-  #
-  #     config :situ_store, formats: [MyFormat]
-  #
-  # Formats provided by loaded applications (`env: [recording_formats: [MyFormat]]` in
-  # `application/0` of the application's `mix.exs`) come next. This application provides CSV;
-  # `situ_media` provides WAV and all formats that FFmpeg reads.
+  # Finds the formats of files by extension, and of folders and addresses. `Situ.Recording.Format`
+  # describes how formats are registered.
 
   @doc """
   Returns the `Situ.Recording.Format` for a file, or `nil`.

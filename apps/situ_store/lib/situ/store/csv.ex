@@ -1,24 +1,6 @@
 defmodule Situ.Store.Csv do
   @moduledoc false
-  # Reads CSV files as recordings: one column contains times, and every other column becomes a
-  # stream.
-  #
-  # Options (`Situ.Store.open(path, reader_opts: [...])`):
-  #
-  #   * `time:` the name or number (0 is the first) of the time column; default: the first column
-  #     whose name looks like a
-  #     time, or else the first column
-  #   * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` detects ISO
-  #     8601, and reads numbers in
-  #     the unit given by the column's name (`t_ms`, `Timestamp (us)`) or else in seconds
-  #   * `start:` ns added to every time, default 0
-  #   * `separator:` default: `,`, `;` or tab, whichever occurs most often in the first line
-  #
-  # Fields that look like numbers are numbers; all others are strings. A column is `:integer`,
-  # `:float` or `:string`, depending on all its fields. An empty field produces no message.
-  # Quoting follows RFC 4180: a quoted field may contain separators, (doubled) quotes and line
-  # breaks. Rows that are invalid or whose time does not increase are skipped and reported as
-  # damage in `Situ.Store.info/1`.
+  # Reads CSV files as recordings. `Situ.Store.open/2` documents the options.
   #
   # Files of any size are supported. Opening scans the file once and keeps only the position of
   # every 1,000th row, where later reads start. Copying into a store (`Situ.Store.copy/3`) reads

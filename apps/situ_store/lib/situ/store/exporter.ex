@@ -1,9 +1,7 @@
 defmodule Situ.Store.Exporter do
   @moduledoc false
   # A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to
-  # `Situ.Store.write/4`.
-  #
-  # The store is closed when the pipeline has completed, whether it succeeded or failed.
+  # `Situ.Store.write/4`, which document it.
   alias Situ.{Options, Pipeline, Stream}
 
   alias Situ.Store.{
@@ -34,7 +32,8 @@ defmodule Situ.Store.Exporter do
                        type: :boolean,
                        default: false,
                        doc:
-                         "Store the keys of the stream's maps in its metadata (`Situ.Store.KeyRecorder`)."
+                         "Store the sorted keys of the stream's maps in its metadata under `\"keys\"`, so that a " <>
+                           "viewer can offer them without reading the recording."
                      ],
                      policy: [
                        type: :any,

@@ -1,13 +1,8 @@
 defmodule Situ.Store.KeyRecorder do
   @moduledoc false
   # The component of `Situ.Store.write/4` with `keys: true`. It collects the keys of a stream's
-  # maps.
-  #
-  # The sorted keys are stored in the stream's metadata under `"keys"`, in addition to the
-  # `metadata:` map. A viewer can then offer the keys (such as a line for each tracked person)
-  # without reading the recording. The keys are saved each time their number has doubled and when
-  # the stream closes. If the writer was killed, the metadata contains the last saved keys.
-  # Messages that are not maps are ignored.
+  # maps and ignores all other messages. The keys are saved each time their number has doubled and
+  # when the stream closes. If the writer was killed, the metadata contains the last saved keys.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],

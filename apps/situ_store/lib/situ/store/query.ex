@@ -46,7 +46,7 @@ defmodule Situ.Store.Query do
       type: :any,
       doc:
         "The requested type: a `Situ.Type` that matches the recorded type, or a struct whose fields " <>
-          "may have changed since recording (`Situ.Store.SchemaEvolution`)."
+          "may have changed since recording."
     ],
     skip_damage: [
       type: :boolean,

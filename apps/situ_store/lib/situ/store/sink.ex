@@ -1,10 +1,7 @@
 defmodule Situ.Store.Sink do
   @moduledoc false
-  # The component of `Situ.Store.write/4`: writes one stream of a pipeline into a store.
-  #
-  # Messages are collected for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed
-  # together. With durability `:each`, every delivery is committed and on disk before the next is
-  # processed. Committed messages survive a kill of the process.
+  # The component of `Situ.Store.write/4`: collects messages of one stream of a pipeline and commits
+  # them together. Committed messages survive a kill of the process.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],

@@ -59,7 +59,7 @@ defmodule Situ.Store.Writer do
     volatile: [
       type: :boolean,
       default: false,
-      doc: "Record that the store is in memory (`Situ.Store.MemoryStores`)."
+      doc: "Record that the store is in memory. `Situ.Store.create/4` sets it."
     ]
   ]
   @stream_options [
@@ -110,7 +110,7 @@ defmodule Situ.Store.Writer do
   @doc false
   def stream_options, do: @stream_options
 
-  @doc "Creates a store `name` in `root` and opens it for writing."
+  @doc "Creates a store `name` in `root` and opens it for writing. The module documentation lists the options."
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
@@ -146,7 +146,7 @@ defmodule Situ.Store.Writer do
   defp native_durability({:interval, ms}), do: ms
   defp native_durability(other), do: other
 
-  @doc "Adds a stream. Stream names are unique in a store."
+  @doc "Adds a stream. Stream names are unique in a store. The module documentation lists the options."
   @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
     with {:ok, opts} <- Options.validate(opts, @stream_options),
@@ -206,8 +206,8 @@ defmodule Situ.Store.Writer do
   defp kind_of(_), do: ":any"
 
   @doc """
-  Appends and commits all messages, or none of them. Originating times must increase. `creation_time` and `sequence_id`
-  are kept.
+  Appends and commits all messages, or none of them. The next call takes the returned stream. Originating times must
+  increase. `creation_time` and `sequence_id` are kept.
   """
   @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append(stream, []), do: {:ok, stream}

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Headset do
   | `:left`, `:right` | a tracked hand: `Situ.Skeleton` of 26 joints with the `id` `:left` or `:right` |
   | `:gaze` | the gaze direction, `Situ.Ray3`, if the headset reports it |
   | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), on every change |
-  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.parse_plane/1`, on every change |
+  | `:planes` | floors, walls and tables, on every change: maps with a `label`, a `polygon` of points and the `Situ.Rectangle3` around it |
   | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
   Axes are x forward, y left, z up, in meters; the origin is on the floor, where the session started. The x axis of

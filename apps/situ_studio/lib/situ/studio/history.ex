@@ -134,7 +134,7 @@ defmodule Situ.Studio.History do
 
   @doc """
   Marks the start of a gap after the message at `last`: the stream was not captured until its next message. The gap is
-  not counted; its data is a `Situ.Studio.Gap`.
+  not counted, and visualizers draw nothing in it.
   """
   @spec mark_gap(t(), String.t(), Situ.Time.t() | nil) :: :ok
   def mark_gap(%__MODULE__{}, _name, nil), do: :ok

@@ -1,37 +1,38 @@
 defmodule Situ.Studio.Plugins do
-  @moduledoc false
-  # Loads third-party extensions: visualizers, adapters, file formats and tasks.
-  #
-  # A **plug-in** is a folder:
-  #
-  #     gaze-heat-map/
-  #       plugin.json       its metadata and visualizers (`Situ.Studio.Plugins.Manifest`)
-  #       lib/*.ex          Elixir modules, recognized by their behaviours
-  #       web/*.js          ES modules that draw in the page
-  #       test/             tests of both; run them with `situ plugin test FOLDER`
-  #
-  # Plug-ins are loaded from the folders that the user names (`plugins:` of `Situ.Studio`,
-  # `--plugins` on the command line) and from `$XDG_CONFIG_HOME/situ/plugins`. **They run with all
-  # permissions of the user**, like any other program, so use only folders whose authors you
-  # trust. The page's content security policy allows scripts only from these folders; a plug-in
-  # cannot load anything from another site.
-  #
-  # Modules in `lib/` are recognized by their behaviours:
-  #
-  # | behaviour | becomes |
-  # |---|---|
-  # | `Situ.Studio.Visualizer` | a visualizer (a module named in the manifest belongs to that entry) |
-  # | `Situ.Studio.Adapter` | an adapter |
-  # | `Situ.Recording.Format` | a file format: its files open as recordings, also on the command line |
-  # | `Situ.Dataset.Task` | a task of `situ task` and of the studio |
-  #
-  # An application can provide the same modules without a folder through its configuration:
-  # `studio_visualizers`, `studio_adapters`, `recording_formats` and `dataset_tasks` in `env:` of
-  # its `mix.exs`.
-  #
-  # A broken plug-in affects nothing else. If its code does not compile, its visualizers stay
-  # available and their panels show the error. Code of plug-ins runs in separate processes
-  # (`Situ.Studio.Plugins.Sandbox`).
+  @moduledoc """
+  Loads third-party extensions: visualizers, adapters, file formats and tasks.
+
+  A **plug-in** is a folder:
+
+      gaze-heat-map/
+        plugin.json       its metadata and visualizers (`Situ.Studio.Plugins.Manifest`)
+        lib/*.ex          Elixir modules, recognized by their behaviours
+        web/*.js          ES modules that draw in the page
+        test/             tests of both; run them with `situ plugin test FOLDER`
+
+  Plug-ins are loaded from the folders that the user names (`plugins:` of `Situ.Studio`,
+  `--plugins` on the command line) and from `$XDG_CONFIG_HOME/situ/plugins`. **They run with all
+  permissions of the user**, like any other program, so use only folders whose authors you
+  trust. The page's content security policy allows scripts only from these folders; a plug-in
+  cannot load anything from another site.
+
+  Modules in `lib/` are recognized by their behaviours:
+
+  | behaviour | becomes |
+  |---|---|
+  | `Situ.Studio.Visualizer` | a visualizer (a module named in the manifest belongs to that entry) |
+  | `Situ.Studio.Adapter` | an adapter |
+  | `Situ.Recording.Format` | a file format: its files open as recordings, also on the command line |
+  | `Situ.Dataset.Task` | a task of `situ task` and of the studio |
+
+  An application can provide the same modules without a folder through its configuration:
+  `studio_visualizers`, `studio_adapters`, `recording_formats` and `dataset_tasks` in `env:` of
+  its `mix.exs`.
+
+  A broken plug-in affects nothing else. If its code does not compile, its visualizers stay
+  available and their panels show the error. Code of plug-ins runs in separate processes. The guide "Your own
+  visualizer" builds a plug-in.
+  """
   # See docs/adr/0083-plug-ins-are-folders-with-a-manifest.md.
   alias Situ.Error
   alias Situ.Studio.{Adapter, Visualizer, Visualizers}
@@ -94,7 +95,10 @@ defmodule Situ.Studio.Plugins do
     %{plugin | problem: problem, visualizers: [], modules: []}
   end
 
-  @doc "Loads one plug-in from its folder."
+  @doc """
+  Loads one plug-in from its folder. In the result, `problem` explains why the plug-in cannot be used (`nil` if it can),
+  `visualizers` lists its `t:Situ.Studio.Visualizer.t/0`s, and `modules` the modules of its `lib` folder.
+  """
   @spec plugin(Path.t()) :: Plugin.t()
   def plugin(folder) do
     folder = Path.expand(folder)

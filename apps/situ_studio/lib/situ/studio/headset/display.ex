@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Headset.Display do
   @moduledoc """
   Draws the data of a stream in a headset (`Situ.Studio.Headset`): poses, rays, boxes, positioned texts, rectangles,
-  images, meshes, point clouds, skeletons and everything else that a 3D panel draws (`Situ.Studio.Scene.TermItems`).
+  images, meshes, point clouds, skeletons and everything else that a 3D panel of the studio draws.
 
       objects
-      |> Situ.map(fn {name, box} -> {name, box} end)
+      |> Situ.map(fn object -> {object.name, object.box} end)
       |> Situ.Studio.Headset.Display.show(as: "objects", color: "#ffcc00")
 
   Each message replaces the drawing of the previous one; a message with nothing to draw clears it. Positions are in the

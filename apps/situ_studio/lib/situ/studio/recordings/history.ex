@@ -1,7 +1,13 @@
 defmodule Situ.Studio.Recordings.History do
-  @moduledoc false
-  # Opens a `Situ.Studio.History` as a recording. A stream that has no messages yet is an empty
-  # stream.
+  @moduledoc """
+  Opens a `Situ.Studio.History` as a `Situ.Recording`, which the studio shows and `Situ.Store` reads. A stream that has
+  no messages yet is an empty stream.
+
+      iex> history = Situ.Studio.History.new(seconds: 60)
+      iex> recording = Situ.Studio.Recordings.History.wrap(history)
+      iex> Situ.Store.count(recording, "level")
+      0
+  """
   @behaviour Situ.Recording
 
   alias Situ.{Error, Recording}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Script do
   @moduledoc """
-  Implements the server's half of a visualizer that is only a script. It sends the message at the cursor, or the
-  messages of some seconds before it, as JSON.
+  Implements the server's half of a visualizer that is only a script of a plug-in (`Situ.Studio.Plugins`). It sends the
+  message at the cursor, or the messages of some seconds before it, as JSON.
 
   Numbers, strings, `true`, `false` and `nil` stay the same. Atoms become strings, lists and tuples become arrays, and
   maps and structs become objects (a struct has its name as `"type"`). Bytes that are not text become `{"bytes": SIZE}`,

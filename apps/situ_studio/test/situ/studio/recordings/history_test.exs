@@ -6,6 +6,8 @@ defmodule Situ.Studio.Recordings.HistoryTest do
   alias Situ.{Message, Store}
   alias Situ.Studio.{Gap, History, Recordings, StreamReader}
 
+  doctest Recordings.History
+
   defp put(history, time, data),
     do: History.put(history, "S", %Message{data: data, originating_time: time}, 8)
 
