@@ -62,11 +62,11 @@ defmodule Situ.Link.Address do
 
     case {uri.scheme, uri.host, uri.path} do
       {"situ+unix", _, "/" <> _ = path} ->
-        {:ok, %__MODULE__{transport: :unix, path: path, name: decode_name(uri.query || "")}}
+        {:ok, %__MODULE__{transport: :unix, path: path, name: URI.decode(uri.query || "")}}
 
       {scheme, host, path} when scheme in ["situ", "situs"] and host not in [nil, ""] ->
         transport = if scheme == "situ", do: :tcp, else: :tls
-        name = path |> Kernel.||("") |> String.trim_leading("/") |> decode_name()
+        name = path |> Kernel.||("") |> String.trim_leading("/") |> URI.decode()
         address = %__MODULE__{transport: transport, host: host, port: uri.port, name: name}
         put_fingerprint(address, uri.query, text)
 
@@ -88,8 +88,6 @@ defmodule Situ.Link.Address do
   end
 
   defp put_fingerprint(_address, _query, text), do: {:error, address_error(text)}
-
-  defp decode_name(text), do: URI.decode(text)
 
   defp address_error(text) do
     Error.new(:bad_address, "invalid link address: #{inspect(text)}",

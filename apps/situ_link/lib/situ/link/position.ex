@@ -53,12 +53,12 @@ defmodule Situ.Link.Position do
   @doc "Saves the positions. Errors: `:io`."
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(path, positions) do
-    beside = path <> ".unfinished"
+    tmp = path <> ".unfinished"
 
     with :ok <- File.mkdir_p(Path.dirname(path)),
-         {:ok, file} <- File.open(beside, [:write, :raw, :binary]),
+         {:ok, file} <- File.open(tmp, [:write, :raw, :binary]),
          :ok <- write_synced(file, JSON.encode(positions)),
-         :ok <- File.rename(beside, path) do
+         :ok <- File.rename(tmp, path) do
       :ok
     else
       {:error, reason} ->

@@ -83,10 +83,10 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def stream_named(state, name) do
-    asked = %{"op" => "stream", "stream" => name}
+    request = %{"op" => "stream", "stream" => name}
 
     with {:ok, [info]} <-
-           fetch_decoded(state, asked, &ReplyDecoder.decode_streams(&1, address_text(state))),
+           fetch_decoded(state, request, &ReplyDecoder.decode_streams(&1, address_text(state))),
          do: {:ok, info}
   end
 
@@ -106,7 +106,7 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
-    asked = %{
+    request = %{
       "ordinal" => ordinal,
       "to" => if(to == :unbounded, do: nil, else: clamp(to)),
       "limit" => limit,
@@ -116,32 +116,38 @@ defmodule Situ.Link.Recording do
     }
 
     with {:ok, {messages, next}} <-
-           request_stream(state, info, "read", asked, &ReplyDecoder.decode_messages(&1, info.id)),
+           request_stream(
+             state,
+             info,
+             "read",
+             request,
+             &ReplyDecoder.decode_messages(&1, info.id)
+           ),
          do: {:ok, messages, next}
   end
 
   @impl true
   def summary(state, info, from, to, pixels) do
-    asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
+    request = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
 
     with {:ok, {width, bins}} <-
-           request_stream(state, info, "summary", asked, &ReplyDecoder.decode_summary/1),
+           request_stream(state, info, "summary", request, &ReplyDecoder.decode_summary/1),
          do: {:ok, width, bins}
   end
 
   @impl true
-  def tracks(state, info, from, to, level, most) do
-    asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
+  def tracks(state, info, from, to, level, max) do
+    request = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => max}
 
     with {:ok, {counts, tracks}} <-
-           request_stream(state, info, "tracks", asked, &ReplyDecoder.decode_tracks/1),
+           request_stream(state, info, "tracks", request, &ReplyDecoder.decode_tracks/1),
          do: {:ok, counts, tracks}
   end
 
   @impl true
-  def gaps(state, info, least) do
+  def gaps(state, info, min) do
     state
-    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &ReplyDecoder.decode_spans/1)
+    |> request_stream(info, "gaps", %{"least" => clamp(min)}, &ReplyDecoder.decode_spans/1)
     |> Error.unwrap!()
   end
 
@@ -154,21 +160,21 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def await(state, known, pid, tag) do
-    asked = %{"op" => "await", "known" => known, "version" => state.version}
-    Client.await_news(state.address, state.access, asked, {pid, tag})
+    request = %{"op" => "await", "known" => known, "version" => state.version}
+    Client.await_notice(state.address, state.access, request, {pid, tag})
   end
 
-  defp request_stream(state, %StreamInfo{name: name}, op, asked, read),
-    do: fetch_decoded(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
+  defp request_stream(state, %StreamInfo{name: name}, op, request, decode),
+    do: fetch_decoded(state, Map.merge(request, %{"op" => op, "stream" => name}), decode)
 
-  defp fetch_decoded(state, asked, read) do
-    asked = Map.put(asked, "version", state.version)
+  defp fetch_decoded(state, request, decode) do
+    request = Map.put(request, "version", state.version)
 
-    with {:ok, body} <- Client.fetch_reply(state.address, state.access, asked),
-         :error <- read.(body) do
+    with {:ok, body} <- Client.fetch_reply(state.address, state.access, request),
+         :error <- decode.(body) do
       {:error,
        Error.new(:bad_reply, "the reply from #{address_text(state)} is malformed",
-         why: "the reply to #{asked["op"]} does not have the form that this release expects",
+         why: "the reply to #{request["op"]} does not have the form that this release expects",
          fix: "install the same release of Situ on both sides"
        )}
     end

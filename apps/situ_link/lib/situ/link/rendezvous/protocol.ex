@@ -26,9 +26,9 @@ defmodule Situ.Link.Rendezvous.Protocol do
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @version 2
-  @most_text 4_096
-  @most_endpoints 1_000
-  @most_streams 10_000
+  @max_text 4_096
+  @max_endpoints 1_000
+  @max_streams 10_000
 
   @type stream :: {name :: String.t(), type :: String.t()}
   @type endpoint ::
@@ -108,7 +108,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
   def feed(<<1, rest::binary>>) do
     feed_text(rest, fn name, rest ->
       feed_text(rest, fn version, rest ->
-        feed_list(rest, @most_endpoints, &feed_endpoint/2, fn endpoints, rest ->
+        feed_list(rest, @max_endpoints, &feed_endpoint/2, fn endpoints, rest ->
           {:ok, {:add, %{name: name, version: version, endpoints: endpoints}}, rest}
         end)
       end)
@@ -164,7 +164,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
 
   defp feed_endpoint(<<>>, next), do: {:more, &feed_endpoint(&1, next)}
 
-  defp feed_streams(bytes, next), do: feed_list(bytes, @most_streams, &feed_stream/2, next)
+  defp feed_streams(bytes, next), do: feed_list(bytes, @max_streams, &feed_stream/2, next)
 
   defp feed_stream(bytes, next) do
     feed_text(bytes, fn name, rest ->
@@ -172,18 +172,21 @@ defmodule Situ.Link.Rendezvous.Protocol do
     end)
   end
 
-  defp feed_list(bytes, most, one, next) do
+  defp feed_list(bytes, max, item_parser, next) do
     feed_int(bytes, fn n, rest ->
-      if n in 0..most,
-        do: feed_n(rest, {n, []}, one, next),
+      if n in 0..max,
+        do: feed_n(rest, {n, []}, item_parser, next),
         else: {:error, "a list of #{n} items exceeds the limit"}
     end)
   end
 
-  defp feed_n(rest, {0, done}, _one, next), do: next.(Enum.reverse(done), rest)
+  defp feed_n(rest, {0, items}, _one, next), do: next.(Enum.reverse(items), rest)
 
-  defp feed_n(bytes, {n, done}, one, next),
-    do: one.(bytes, fn item, rest -> feed_n(rest, {n - 1, [item | done]}, one, next) end)
+  defp feed_n(bytes, {n, items}, item_parser, next),
+    do:
+      item_parser.(bytes, fn item, rest ->
+        feed_n(rest, {n - 1, [item | items]}, item_parser, next)
+      end)
 
   @doc "Reads a 32-bit integer."
   @spec read_int(binary()) :: {:ok, integer(), binary()} | :more
@@ -202,7 +205,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
 
   def read_text(_short), do: :more
 
-  defp take_text(n, _rest) when n > @most_text, do: {:error, "a string of #{n} bytes is too long"}
+  defp take_text(n, _rest) when n > @max_text, do: {:error, "a string of #{n} bytes is too long"}
 
   defp take_text(n, bytes) do
     case bytes do

@@ -14,14 +14,14 @@ defmodule Situ.Link.Wire.ClockEstimate do
       {5_000, 100}
   """
   # About four minutes, at one round trip a second.
-  @most 256
-  @least_for_drift 8
-  @least_span 10_000_000_000
+  @max_samples 256
+  @min_samples 8
+  @min_span 10_000_000_000
   # The crystals of computers stay within this drift, so larger values are clamped.
-  @most_drift 500.0e-6
-  @steps 3
+  @max_drift 500.0e-6
+  @max_outliers 3
 
-  defstruct samples: [], offset: 0.0, drift: 0.0, at: nil, rtt: nil, error: 0.0, odd: 0
+  defstruct samples: [], offset: 0.0, drift: 0.0, at: nil, rtt: nil, error: 0.0, outliers: 0
 
   @typedoc "`offset` (remote minus local, ns) at local time `at`, `drift` (ns per ns), `rtt` of the quickest trip (ns)."
   @type t :: %__MODULE__{}
@@ -47,20 +47,25 @@ defmodule Situ.Link.Wire.ClockEstimate do
     possible = rtt / 2 + uncertainty_at(clock, at) + 1_000_000
 
     cond do
-      Kernel.abs(offset - offset_at(clock, at)) <= possible -> %{clock | odd: 0}
-      clock.odd + 1 >= @steps -> %{new() | samples: Enum.take(clock.samples, @steps - 1)}
-      true -> %{clock | odd: clock.odd + 1}
+      Kernel.abs(offset - offset_at(clock, at)) <= possible ->
+        %{clock | outliers: 0}
+
+      clock.outliers + 1 >= @max_outliers ->
+        %{new() | samples: Enum.take(clock.samples, @max_outliers - 1)}
+
+      true ->
+        %{clock | outliers: clock.outliers + 1}
     end
   end
 
   defp add_sample(clock, sample),
-    do: update_estimate(%{clock | samples: Enum.take([sample | clock.samples], @most)})
+    do: update_estimate(%{clock | samples: Enum.take([sample | clock.samples], @max_samples)})
 
   defp update_estimate(%{samples: [{at, _, _} | _] = samples} = clock) do
     rtt = samples |> Enum.map(&elem(&1, 2)) |> Enum.min()
     {oldest, _, _} = List.last(samples)
 
-    if length(samples) >= @least_for_drift and at - oldest >= @least_span,
+    if length(samples) >= @min_samples and at - oldest >= @min_span,
       do: fit_line(%{clock | at: at, rtt: rtt}),
       else: use_quickest_trip(%{clock | at: at, rtt: rtt})
   end
@@ -83,9 +88,9 @@ defmodule Situ.Link.Wire.ClockEstimate do
     mean_t = sum.(fn {w, t, _} -> w * t end) / w
     mean_o = sum.(fn {w, _, o} -> w * o end) / w
     spread = sum.(fn {w, t, _} -> w * (t - mean_t) * (t - mean_t) end)
-    both = sum.(fn {w, t, o} -> w * (t - mean_t) * (o - mean_o) end)
-    drift = if spread > 0, do: both / spread, else: 0.0
-    drift = drift |> max(-@most_drift) |> min(@most_drift)
+    covariance = sum.(fn {w, t, o} -> w * (t - mean_t) * (o - mean_o) end)
+    drift = if spread > 0, do: covariance / spread, else: 0.0
+    drift = drift |> max(-@max_drift) |> min(@max_drift)
     %{clock | offset: mean_o - drift * mean_t, drift: drift, error: quickest / 2}
   end
 

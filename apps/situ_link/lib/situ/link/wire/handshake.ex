@@ -74,8 +74,8 @@ defmodule Situ.Link.Wire.Handshake do
     do: :crypto.mac(:hmac, :sha256, token, ["situ-link-#{role}", server_nonce, client_nonce])
 
   @spec valid_proof?(token(), role(), binary(), binary(), binary()) :: boolean()
-  def valid_proof?(token, role, server_nonce, client_nonce, shown),
-    do: :crypto.hash_equals(build_proof(token, role, server_nonce, client_nonce), shown)
+  def valid_proof?(token, role, server_nonce, client_nonce, proof),
+    do: :crypto.hash_equals(build_proof(token, role, server_nonce, client_nonce), proof)
 
   @doc "Converts an error to the map that a `:refused` frame carries."
   @spec error_to_map(Error.t()) :: map()
@@ -104,12 +104,12 @@ defmodule Situ.Link.Wire.Handshake do
   }
 
   @spec error_from_map(map()) :: Error.t()
-  def error_from_map(map) do
-    code = Map.get(@codes, map["code"], :refused)
+  def error_from_map(fields) do
+    code = Map.get(@codes, fields["code"], :refused)
 
-    Error.new(code, truncate_text(map["what"]) || "the server refused",
-      why: truncate_text(map["why"]),
-      fix: truncate_text(map["fix"])
+    Error.new(code, truncate_text(fields["what"]) || "the server refused",
+      why: truncate_text(fields["why"]),
+      fix: truncate_text(fields["fix"])
     )
   end
 

@@ -66,10 +66,10 @@ defmodule Situ.Link.Wire.Quota do
 
   @doc "Returns a part size, at most `most` bytes, that delays more important data by no more than 50 ms."
   @spec segment_size(t(), pos_integer()) :: pos_integer()
-  def segment_size(%__MODULE__{limits: limits}, most) do
+  def segment_size(%__MODULE__{limits: limits}, max) do
     case List.keyfind(limits, :bytes, 0) do
-      {:bytes, cost, _} -> (0.05 * 1.0e9 / cost) |> round() |> max(4_096) |> min(most)
-      nil -> most
+      {:bytes, cost, _} -> (0.05 * 1.0e9 / cost) |> round() |> max(4_096) |> min(max)
+      nil -> max
     end
   end
 end
