@@ -15,7 +15,7 @@ defmodule Situ.Cluster.LoadBalance do
       nil
   """
 
-  @least 0.1
+  @min_gain 0.1
 
   @type nodes :: %{node() => %{busy: float(), cores: pos_integer()}}
   @type part :: %{part: String.t(), node: node(), cost: float(), on: [node()]}
@@ -23,17 +23,17 @@ defmodule Situ.Cluster.LoadBalance do
   @doc "Returns the part and target node of the most effective move, or `nil`."
   @spec choose_move(nodes(), [part()]) :: {String.t(), node()} | nil
   def choose_move(nodes, parts) do
-    tried =
+    moves =
       for %{part: part, node: from, cost: cost, on: on} <- parts,
           is_map_key(nodes, from),
           to <- on,
           to != from and is_map_key(nodes, to),
           gain = move_gain(nodes[from], nodes[to], cost),
-          gain > @least,
+          gain > @min_gain,
           do: {gain, part, to}
 
-    with [_ | _] <- tried do
-      {_, part, to} = Enum.max_by(tried, fn {gain, part, to} -> {gain, part, to} end)
+    with [_ | _] <- moves do
+      {_, part, to} = Enum.max_by(moves, fn {gain, part, to} -> {gain, part, to} end)
       {part, to}
     else
       [] -> nil
@@ -42,8 +42,8 @@ defmodule Situ.Cluster.LoadBalance do
 
   # Returns by how many cores the load of the busier node falls.
   defp move_gain(from, to, cost) do
-    before = max(from.busy / from.cores, to.busy / to.cores)
-    behind = max((from.busy - cost) / from.cores, (to.busy + cost) / to.cores)
-    (before - behind) * min(from.cores, to.cores)
+    load_before = max(from.busy / from.cores, to.busy / to.cores)
+    load_after = max((from.busy - cost) / from.cores, (to.busy + cost) / to.cores)
+    (load_before - load_after) * min(from.cores, to.cores)
   end
 end

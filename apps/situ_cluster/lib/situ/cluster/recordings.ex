@@ -16,8 +16,8 @@ defmodule Situ.Cluster.Recordings do
   alias Situ.{Error, Link, Store}
 
   # The limit applies to each node and keeps its newest recordings.
-  @most 200
-  @ask_ms 5_000
+  @max_recordings 200
+  @call_ms 5_000
   @serve_ms 15_000
 
   @typedoc "`id` is `NODE/NAME`; `live?` is true during the recording; `changed` is seconds since 1970."
@@ -35,7 +35,7 @@ defmodule Situ.Cluster.Recordings do
   @doc "Returns the recordings of all `nodes`, newest first on each node. Skips nodes that do not reply in time."
   @spec list_all([node()]) :: [entry()]
   def list_all(nodes \\ [node() | Node.list()]) do
-    answers = :erpc.multicall(nodes, __MODULE__, :here, [], @ask_ms)
+    answers = :erpc.multicall(nodes, __MODULE__, :here, [], @call_ms)
     for {:ok, entries} <- answers, entry <- entries, do: entry
   end
 
@@ -43,9 +43,9 @@ defmodule Situ.Cluster.Recordings do
   @spec here() :: [entry()]
   def here do
     with pid when is_pid(pid) <- Process.whereis(__MODULE__),
-         folder when is_binary(folder) <- GenServer.call(pid, :folder, @ask_ms) do
+         folder when is_binary(folder) <- GenServer.call(pid, :folder, @call_ms) do
       entries = for path <- Store.list(folder), do: describe_recording(path)
-      entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@most)
+      entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@max_recordings)
     else
       _ -> []
     end
@@ -92,22 +92,22 @@ defmodule Situ.Cluster.Recordings do
   @impl true
   def init(folder) do
     Process.flag(:trap_exit, true)
-    {:ok, %{folder: folder && Path.expand(folder), serving: %{}}}
+    {:ok, %{folder: folder && Path.expand(folder), servers: %{}}}
   end
 
   @impl true
   def handle_call(:folder, _from, state), do: {:reply, state.folder, state}
 
-  def handle_call({:serve, name}, _from, %{serving: serving} = state)
-      when is_map_key(serving, name) do
-    {_server, address, opts} = serving[name]
+  def handle_call({:serve, name}, _from, %{servers: servers} = state)
+      when is_map_key(servers, name) do
+    {_server, address, opts} = servers[name]
     {:reply, {:ok, address, opts}, state}
   end
 
   def handle_call({:serve, name}, _from, state) do
     case serve_recording(state.folder, name) do
       {:ok, server, address, opts} ->
-        {:reply, {:ok, address, opts}, put_in(state.serving[name], {server, address, opts})}
+        {:reply, {:ok, address, opts}, put_in(state.servers[name], {server, address, opts})}
 
       {:error, error} ->
         {:reply, {:error, error}, state}
@@ -116,8 +116,8 @@ defmodule Situ.Cluster.Recordings do
 
   @impl true
   def handle_info({:EXIT, server, _reason}, state) do
-    serving = Map.reject(state.serving, fn {_, {pid, _, _}} -> pid == server end)
-    {:noreply, %{state | serving: serving}}
+    servers = Map.reject(state.servers, fn {_, {pid, _, _}} -> pid == server end)
+    {:noreply, %{state | servers: servers}}
   end
 
   def handle_info(_other, state), do: {:noreply, state}

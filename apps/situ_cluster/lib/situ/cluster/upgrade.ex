@@ -48,15 +48,16 @@ defmodule Situ.Cluster.Upgrade do
     upgrade_rest(nodes, code, [])
   end
 
-  defp upgrade_rest([], _code, done), do: {:ok, for({node, _} <- Enum.reverse(done), do: node)}
+  defp upgrade_rest([], _code, upgraded),
+    do: {:ok, for({node, _} <- Enum.reverse(upgraded), do: node)}
 
-  defp upgrade_rest([node | rest], code, done) do
+  defp upgrade_rest([node | rest], code, upgraded) do
     case call_node(node, :take, [code]) do
-      {:ok, old} ->
-        upgrade_rest(rest, code, [{node, old} | done])
+      {:ok, previous} ->
+        upgrade_rest(rest, code, [{node, previous} | upgraded])
 
       {:error, error} ->
-        for {node, old} <- done, do: call_node(node, :take, [old])
+        for {node, previous} <- upgraded, do: call_node(node, :take, [previous])
 
         {:error,
          %{
@@ -79,16 +80,17 @@ defmodule Situ.Cluster.Upgrade do
   @doc false
   @spec take(code()) :: {:ok, code()} | {:error, Error.t()}
   def take(code) do
-    old = for {module, _} <- code, {^module, beam} <- [current_code(module)], do: {module, beam}
+    previous =
+      for {module, _} <- code, {^module, beam} <- [current_code(module)], do: {module, beam}
 
     with :ok <- load_modules(code),
          :ok <- same_plans(),
          :ok <- restart_parts() do
       remember_code(code)
-      {:ok, old}
+      {:ok, previous}
     else
       {:error, error} ->
-        _ = load_modules(old)
+        _ = load_modules(previous)
         _ = restart_parts()
         {:error, error}
     end
