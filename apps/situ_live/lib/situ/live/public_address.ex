@@ -43,9 +43,9 @@ defmodule Situ.Live.PublicAddress do
   def parse(other), do: address_error(other)
 
   defp from_parts(scheme, host, port, segments) do
-    usual = URI.default_port(scheme)
+    default_port = URI.default_port(scheme)
     authority = if String.contains?(host, ":"), do: "[#{host}]", else: host
-    origin = "#{scheme}://#{authority}#{if port != usual, do: ":#{port}"}"
+    origin = "#{scheme}://#{authority}#{if port != default_port, do: ":#{port}"}"
     base = Enum.map_join(segments, &("/" <> &1))
 
     %__MODULE__{
@@ -94,9 +94,9 @@ defmodule Situ.Live.PublicAddress do
   @spec strip_base(t() | nil, [String.t()]) :: [String.t()]
   def strip_base(nil, segments), do: segments
 
-  def strip_base(%{segments: own}, segments) do
-    if own != [] and List.starts_with?(segments, own),
-      do: Enum.drop(segments, length(own)),
+  def strip_base(%{segments: base}, segments) do
+    if base != [] and List.starts_with?(segments, base),
+      do: Enum.drop(segments, length(base)),
       else: segments
   end
 end

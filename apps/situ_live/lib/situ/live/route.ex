@@ -134,8 +134,8 @@ defmodule Situ.Live.Route do
 
   defp check_method(true, route, params, _), do: {:halt, {:ok, route, params}}
 
-  defp check_method(false, r, _, {:method, seen}),
-    do: {:cont, {:error, {:method, seen ++ r.methods}}}
+  defp check_method(false, r, _, {:method, methods}),
+    do: {:cont, {:error, {:method, methods ++ r.methods}}}
 
   defp check_method(false, route, _, :not_found), do: {:cont, {:error, {:method, route.methods}}}
 
