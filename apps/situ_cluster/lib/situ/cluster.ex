@@ -130,7 +130,7 @@ defmodule Situ.Cluster do
              log: log,
              labels: opts[:labels],
              devices: opts[:devices],
-             beside: [{Balancer, &balance/1}, {Recordings, opts[:recordings]}]
+             companions: [{Balancer, &balance/1}, {Recordings, opts[:recordings]}]
            )
   end
 
@@ -174,8 +174,14 @@ defmodule Situ.Cluster do
   @spec await(t(), timeout()) :: :ok | {:error, Error.t()}
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
     with {:ok, plan} <- PartStarter.build_plan(deployment) do
-      till = if timeout == :infinity, do: :infinity, else: monotonic_ms() + timeout
-      Completion.await_parts(deployment_log(deployment), deployment, Map.keys(plan.parts), till)
+      deadline = if timeout == :infinity, do: :infinity, else: monotonic_ms() + timeout
+
+      Completion.await_parts(
+        deployment_log(deployment),
+        deployment,
+        Map.keys(plan.parts),
+        deadline
+      )
     end
   end
 
@@ -188,14 +194,14 @@ defmodule Situ.Cluster do
   def read(%Deployment{} = deployment, stream),
     do: read_entries(deployment_log(deployment), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
 
-  defp read_entries(log, subject, from, read) do
+  defp read_entries(log, subject, from, lists) do
     case Log.read(log, subject, from, 64) do
       {:ok, []} ->
-        {:ok, read |> Enum.reverse() |> Enum.concat()}
+        {:ok, lists |> Enum.reverse() |> Enum.concat()}
 
       {:ok, entries} ->
-        with {:ok, lists} <- decode_entries(entries, []),
-             do: read_entries(log, subject, List.last(entries).seq + 1, [lists | read])
+        with {:ok, messages} <- decode_entries(entries, []),
+             do: read_entries(log, subject, List.last(entries).seq + 1, [messages | lists])
 
       error ->
         error
@@ -239,19 +245,19 @@ defmodule Situ.Cluster do
   @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(name, wait \\ 1_500) when is_binary(name) do
     with {:ok, all} <- list_log_usage(),
-         {:ok, kept} <- Retention.fetch_by_name(all, name),
+         {:ok, usage} <- Retention.fetch_by_name(all, name),
          {:ok, tries} <- forget_if_ended(Enum.find(Agent.info().deployments, &(&1.name == name))),
-         :ok <- await_unused(kept, wait, tries),
-         {:ok, deleted} <- Retention.delete(Agent.get_log(), kept),
+         :ok <- await_unused(usage, wait, tries),
+         {:ok, deleted} <- Retention.delete(Agent.get_log(), usage),
          :ok <- Deployments.delete(Agent.get_log(), name),
          do: {:ok, deleted}
   end
 
   # Other nodes may renew a lease once more before they learn that the deployment was forgotten.
-  defp await_unused(kept, wait, tries) do
+  defp await_unused(usage, wait, tries) do
     with {:error, %{code: :in_use}} when tries > 1 <-
-           Retention.check_unused(Agent.get_log(), kept, wait),
-         do: await_unused(kept, wait, tries - 1)
+           Retention.check_unused(Agent.get_log(), usage, wait),
+         do: await_unused(usage, wait, tries - 1)
   end
 
   # Returns how many times to watch the leases.
@@ -271,13 +277,13 @@ defmodule Situ.Cluster do
   """
   @spec status(t()) :: %{members: map(), parts: %{String.t() => map()}}
   def status(%Deployment{} = deployment) do
-    asked =
+    targets =
       for {node, runners} <- runners_by_node(deployment),
           {part, runner} <- runners,
           do: {part, node, runner}
 
-    answers = asked |> Enum.map(&elem(&1, 2)) |> Runners.collect_infos(@answer_ms)
-    infos = Enum.zip_with(asked, answers, fn {part, node, _}, info -> {part, node, info} end)
+    answers = targets |> Enum.map(&elem(&1, 2)) |> Runners.collect_infos(@answer_ms)
+    infos = Enum.zip_with(targets, answers, fn {part, node, _}, info -> {part, node, info} end)
 
     parts =
       for {part, entries} <- Enum.group_by(infos, &elem(&1, 0)), into: %{} do
@@ -316,30 +322,30 @@ defmodule Situ.Cluster do
          )}
 
       {runner, others} ->
-        stood = for {_, other} <- others, do: {other, demotion_level(other)}
+        demotions = for {_, other} <- others, do: {other, demotion_level(other)}
         # This also overrides an earlier drain of the target node.
         :ok = Runner.set_demotion(runner, 0)
-        for {other, away} <- stood, do: Runner.release_part(other, away + 1, self())
+        for {other, demotion} <- demotions, do: Runner.release_part(other, demotion + 1, self())
         answer = await_takeover(deployment, part, to, monotonic_ms() + 60_000)
-        for {other, away} <- stood, do: Runner.set_demotion(other, away)
+        for {other, demotion} <- demotions, do: Runner.set_demotion(other, demotion)
         answer
     end
   end
 
   defp demotion_level(runner), do: Map.get(runner_info(runner), :away, 0)
 
-  defp await_takeover(deployment, part, to, till) do
+  defp await_takeover(deployment, part, to, deadline) do
     case status(deployment).parts do
       %{^part => %{node: ^to}} ->
         :ok
 
       _ ->
-        if monotonic_ms() > till do
+        if monotonic_ms() > deadline do
           {:error, Error.new(:timeout, "#{to} has not taken over part #{part} in time")}
         else
           receive do
           after
-            20 -> await_takeover(deployment, part, to, till)
+            20 -> await_takeover(deployment, part, to, deadline)
           end
         end
     end
@@ -351,9 +357,12 @@ defmodule Situ.Cluster do
   """
   @spec drain(t(), node()) :: :ok
   def drain(%Deployment{} = deployment, node) do
-    {mine, others} = deployment |> runners_by_node() |> Map.pop(node, %{})
-    away = for {_, runners} <- others, {_, runner} <- runners, do: demotion_level(runner)
-    for {_, runner} <- mine, do: Runner.release_part(runner, 1 + Enum.max(away, fn -> 0 end))
+    {own_runners, others} = deployment |> runners_by_node() |> Map.pop(node, %{})
+    demotions = for {_, runners} <- others, {_, runner} <- runners, do: demotion_level(runner)
+
+    for {_, runner} <- own_runners,
+        do: Runner.release_part(runner, 1 + Enum.max(demotions, fn -> 0 end))
+
     :ok
   end
 
@@ -392,8 +401,8 @@ defmodule Situ.Cluster do
   # Returns the time (ns) that the components of each part have spent on messages so far.
   defp busy_times(deployment) do
     for {part, node, snapshot} <- part_snapshots(deployment), into: %{} do
-      spent = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy
-      {part, {node, System.monotonic_time(:nanosecond), Enum.sum(spent)}}
+      times = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy
+      {part, {node, System.monotonic_time(:nanosecond), Enum.sum(times)}}
     end
   end
 
@@ -451,8 +460,8 @@ defmodule Situ.Cluster do
   @doc "Returns the last lines that a member has logged after line number `from`."
   @spec logs(node(), non_neg_integer(), pos_integer()) ::
           {:ok, [LogLines.line()]} | {:error, Error.t()}
-  def logs(node \\ node(), from \\ 0, most \\ 200) do
-    {:ok, :erpc.call(node, LogLines, :read, [from, most], 10_000)}
+  def logs(node \\ node(), from \\ 0, max \\ 200) do
+    {:ok, :erpc.call(node, LogLines, :read, [from, max], 10_000)}
   catch
     _, reason ->
       {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}

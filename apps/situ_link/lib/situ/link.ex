@@ -129,7 +129,7 @@ defmodule Situ.Link do
   """
   @spec serve(ServerConfig.served() | %{String.t() => ServerConfig.served()}, keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
-  defdelegate serve(what, opts \\ []), to: ServerConfig
+  defdelegate serve(source, opts \\ []), to: ServerConfig
 
   @doc """
   Opens a link to a server during `build`; `stream/3` then adds its streams.
@@ -203,7 +203,7 @@ defmodule Situ.Link do
     type = opts[:type] || known_type(link, name)
     policy = opts[:policy] || Delivery.unlimited()
 
-    wanted = %{
+    request = %{
       datagram: datagram_size(opts[:datagrams], policy),
       name: name,
       from: resolve_start(opts[:from] || link.opts[:from], link, name),
@@ -213,10 +213,13 @@ defmodule Situ.Link do
       times: opts[:times]
     }
 
-    checked = if opts[:type], do: type, else: :any
-    named = [name: opts[:name] || String.replace(name, ".", " ")]
-    own = [link: link.pid, wanted: wanted, type: checked, outputs: [out: type]]
-    Situ.source(link.pipeline, Source, own ++ named)
+    Situ.source(link.pipeline, Source,
+      link: link.pid,
+      request: request,
+      type: opts[:type] || :any,
+      outputs: [out: type],
+      name: opts[:name] || String.replace(name, ".", " ")
+    )
   end
 
   defp datagram_size(false, _policy), do: nil
@@ -246,8 +249,8 @@ defmodule Situ.Link do
             nil ->
               "give its type: to wait for the stream"
 
-            near ->
-              "did you mean #{inspect(near)}? Give type: to wait for a stream of another name"
+            nearest ->
+              "did you mean #{inspect(nearest)}? Give type: to wait for a stream of another name"
           end
 
         raise Error.new(
@@ -260,7 +263,7 @@ defmodule Situ.Link do
   end
 
   defp resolve_start(time, _link, _name) when is_integer(time), do: {:at, time}
-  defp resolve_start(word, _link, _name) when word in [:now, :start], do: word
+  defp resolve_start(start, _link, _name) when start in [:now, :start], do: start
 
   defp resolve_start(:resume, link, name) do
     case link.opts[:position] && Position.load(link.opts[:position]) do
@@ -298,12 +301,12 @@ defmodule Situ.Link do
   @spec confirm(Situ.Stream.t(), t(), String.t()) :: Situ.Stream.t()
   def confirm(%Situ.Stream{} = stream, %__MODULE__{} = link, name) do
     :ok = Connection.enable_confirmation(link.pid, name)
-    own = [link: link.pid, stream: name, policy: Delivery.unlimited()]
 
-    Situ.via(
-      stream,
-      ConfirmComponent,
-      [default_name: "Confirm " <> String.replace(name, ".", " ")] ++ own
+    Situ.via(stream, ConfirmComponent,
+      default_name: "Confirm " <> String.replace(name, ".", " "),
+      link: link.pid,
+      stream: name,
+      policy: Delivery.unlimited()
     )
 
     stream
@@ -322,9 +325,9 @@ defmodule Situ.Link do
   """
   @spec links() :: [map()]
   def links do
-    all = Registry.select(Situ.Link.Registry, [{{:_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}])
+    links = Registry.select(Situ.Link.Registry, [{{:_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}])
 
-    for {pid, address} <- all,
+    for {pid, address} <- links,
         info <- link_info(pid),
         do: Map.put(info, :address, address)
   end
@@ -354,13 +357,13 @@ defmodule Situ.Link do
       for {name, address} <- Application.get_env(:situ_link, :names, %{}),
           do: %{name: name, address: address, streams: []}
 
-    offered =
+    announced =
       for member <- members,
           %{name: name, endpoints: endpoints} <- Rendezvous.peers(member),
           {:address, address, streams} <- endpoints,
           Address.address?(address),
           do: %{name: name, address: address, streams: streams}
 
-    configured ++ offered
+    configured ++ announced
   end
 end

@@ -81,21 +81,21 @@ defmodule Situ.Live do
   alias Situ.Live.{Endpoint, Listener, PublicAddress, Route, Yaws}
 
   @loopback_names ["localhost", "127.0.0.1", "::1"]
-  @known [
-           :public,
-           :routes,
-           :port,
-           :ip,
-           :token,
-           :viewer_token,
-           :secret,
-           :layout,
-           :hosts,
-           :origins,
-           :headers,
-           :max_body
-         ] ++
-           [:max_frame, :max_sockets, :body_ms, :flow, :tls, :name, :images]
+  @option_names [
+                  :public,
+                  :routes,
+                  :port,
+                  :ip,
+                  :token,
+                  :viewer_token,
+                  :secret,
+                  :layout,
+                  :hosts,
+                  :origins,
+                  :headers,
+                  :max_body
+                ] ++
+                  [:max_frame, :max_sockets, :body_ms, :flow, :tls, :name, :images]
 
   @security_headers [
     {"x-content-type-options", "nosniff"},
@@ -117,13 +117,13 @@ defmodule Situ.Live do
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
-    case Keyword.keys(opts) -- @known do
+    case Keyword.keys(opts) -- @option_names do
       [] ->
         :ok
 
       unknown ->
         raise ArgumentError,
-              "unknown options #{inspect(unknown)}; valid options: #{inspect(@known)}"
+              "unknown options #{inspect(unknown)}; valid options: #{inspect(@option_names)}"
     end
 
     start_server(opts, if(opts[:port] == 0, do: 5, else: 1))
@@ -272,15 +272,15 @@ defmodule Situ.Live do
 
   defp build_url(config, path, token) do
     query = if token, do: "?token=#{URI.encode_www_form(token)}", else: ""
-    own = "#{config.scheme}://#{url_host(config.ip)}:#{config.port}"
-    "#{if config.public, do: config.public.url, else: own}#{path}#{query}"
+    local = "#{config.scheme}://#{url_host(config.ip)}:#{config.port}"
+    "#{if config.public, do: config.public.url, else: local}#{path}#{query}"
   end
 
   defp url_host({127, 0, 0, 1}), do: "localhost"
   defp url_host({0, 0, 0, 0, 0, 0, 0, 1}), do: "localhost"
 
   # A server on all interfaces expects remote visitors, so its URL contains this machine's host name.
-  defp url_host(any) when any in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
+  defp url_host(ip) when ip in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
     case :inet.gethostname() do
       {:ok, name} -> to_string(name)
     end

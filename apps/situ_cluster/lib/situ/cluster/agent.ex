@@ -46,7 +46,7 @@ defmodule Situ.Cluster.Agent do
 
     with {:ok, _plan} <- PartStarter.build_plan(deployment),
          {:ok, deployment} <- Deployments.put(log, deployment),
-         :ok <- install_first(agent, log, deployment) do
+         :ok <- install_or_forget(agent, log, deployment) do
       others = Map.keys(info(agent).members) -- [node()]
       if others != [], do: spread_deployment(others, deployment, @spread_times)
       {:ok, deployment}
@@ -54,13 +54,13 @@ defmodule Situ.Cluster.Agent do
   end
 
   # A deployment that cannot run here must not come back after a restart.
-  defp install_first(agent, log, deployment) do
-    answer = GenServer.call(agent, {:deploy, deployment}, 60_000)
+  defp install_or_forget(agent, log, deployment) do
+    result = GenServer.call(agent, {:deploy, deployment}, 60_000)
 
-    with {:error, %{code: code}} when code != :duplicate_name <- answer,
+    with {:error, %{code: code}} when code != :duplicate_name <- result,
          do: Deployments.forget(log, deployment.name)
 
-    answer
+    result
   end
 
   # Another node must know the deployment before it counts as deployed, since this node may be lost at any moment.
@@ -70,10 +70,10 @@ defmodule Situ.Cluster.Agent do
     )
   end
 
-  defp spread_deployment(others, deployment, left) do
+  defp spread_deployment(others, deployment, tries) do
     case GenServer.multi_call(others, __MODULE__, {:install, deployment}, @spread_ms) do
       {[_ | _], _} -> :ok
-      {[], _} -> spread_deployment(others, deployment, left - 1)
+      {[], _} -> spread_deployment(others, deployment, tries - 1)
     end
   end
 
@@ -111,7 +111,7 @@ defmodule Situ.Cluster.Agent do
     :ok = LogLines.start_handler()
     :ok = Member.create_table()
     {:ok, _} = NodeMetrics.start_link(opts[:devices] || [])
-    for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
+    for {module, arg} <- opts[:companions] || [], do: {:ok, _} = module.start_link(arg)
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
     for node <- Node.list(), do: send_hello(state, node, true)
@@ -121,8 +121,10 @@ defmodule Situ.Cluster.Agent do
   end
 
   defp send_hello(state, node, answer?) do
-    own = for {part, {epoch, pid}} <- state.routes, node(pid) == node(), do: {part, epoch, pid}
-    message = {:hello, node(), state.labels, Map.values(state.deployments), own, answer?}
+    own_routes =
+      for {part, {epoch, pid}} <- state.routes, node(pid) == node(), do: {part, epoch, pid}
+
+    message = {:hello, node(), state.labels, Map.values(state.deployments), own_routes, answer?}
     GenServer.cast({__MODULE__, node}, message)
   end
 
@@ -203,20 +205,20 @@ defmodule Situ.Cluster.Agent do
   def handle_cast({:forget, name}, state),
     do: {:noreply, remove_deployment(state, name, fn -> :ok end)}
 
-  def handle_cast({:route, part, epoch, pid, how}, state) do
-    if how == :tell, do: cast_to_others(state, {:route, part, epoch, pid, :told})
+  def handle_cast({:route, part, epoch, pid, mode}, state) do
+    if mode == :tell, do: cast_to_others(state, {:route, part, epoch, pid, :told})
     {:noreply, put_route(state, part, epoch, pid)}
   end
 
   # The supervisor has restarted a runner. Its part may have been forgotten, or may already have another runner.
   def handle_cast({:runs, part, runner}, state) do
-    known = state.runners[part]
+    current = state.runners[part]
 
     cond do
-      known == runner ->
+      current == runner ->
         {:noreply, state}
 
-      known != nil and not Process.alive?(known) ->
+      current != nil and not Process.alive?(current) ->
         {:noreply, put_in(state.runners[part], runner)}
 
       true ->
@@ -319,19 +321,19 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  # A runner may end slowly, so a task waits for the runners and calls `done`.
-  defp remove_deployment(state, name, done) do
-    {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
-    pids = for {_, pid} <- gone, do: pid
+  # A runner may end slowly, so a task waits for the runners and calls `on_done`.
+  defp remove_deployment(state, name, on_done) do
+    {removed, remaining} = Enum.split_with(state.runners, fn {{owner, _}, _} -> owner == name end)
+    pids = for {_, pid} <- removed, do: pid
 
     {:ok, _} =
       Task.start_link(fn ->
         :ok = Runners.dismiss_all(pids)
-        done.()
+        on_done.()
       end)
 
-    runners = Map.new(kept)
-    routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
+    runners = Map.new(remaining)
+    routes = Map.reject(state.routes, fn {{owner, _}, _} -> owner == name end)
     state = put_deployments(state, Map.delete(state.deployments, name))
     plans = Map.delete(state.plans, name)
     %{state | runners: runners, routes: routes, plans: plans}

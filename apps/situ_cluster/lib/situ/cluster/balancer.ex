@@ -7,32 +7,39 @@ defmodule Situ.Cluster.Balancer do
   alias Situ.Cluster.Member
   require Logger
 
-  @look_ms 500
+  @check_ms 500
 
   @spec start_link((Situ.Cluster.Deployment.t() -> term())) :: GenServer.on_start()
   def start_link(balance), do: GenServer.start_link(__MODULE__, balance)
 
   @impl true
   def init(balance) do
-    Process.send_after(self(), :look, @look_ms)
-    {:ok, %{balance: balance, due: %{}}}
+    Process.send_after(self(), :check, @check_ms)
+    {:ok, %{balance: balance, due_times: %{}}}
   end
 
   @impl true
-  def handle_info(:look, state) do
-    Process.send_after(self(), :look, @look_ms)
+  def handle_info(:check, state) do
+    Process.send_after(self(), :check, @check_ms)
     first? = Member.first_member?()
-    wanted = for %{balance: every} = d when every != nil <- Member.list_deployments(), do: d
-    due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, monotonic_ns() + &1.balance)})
 
-    due =
-      for d <- wanted, first?, monotonic_ns() >= due[d.name], reduce: due do
-        due ->
+    balanced =
+      for %{balance: interval} = d when interval != nil <- Member.list_deployments(), do: d
+
+    due_times =
+      Map.new(
+        balanced,
+        &{&1.name, Map.get(state.due_times, &1.name, monotonic_ns() + &1.balance)}
+      )
+
+    due_times =
+      for d <- balanced, first?, monotonic_ns() >= due_times[d.name], reduce: due_times do
+        due_times ->
           _ = balance_deployment(state.balance, d)
-          Map.put(due, d.name, monotonic_ns() + d.balance)
+          Map.put(due_times, d.name, monotonic_ns() + d.balance)
       end
 
-    {:noreply, %{state | due: due}}
+    {:noreply, %{state | due_times: due_times}}
   end
 
   def handle_info(_other, state), do: {:noreply, state}

@@ -1,9 +1,8 @@
 defmodule Situ.Cluster.Checkpoint do
   @moduledoc false
   # Stores the checkpoints of a part in two keys of the log, written alternately, so that the previous one stays
-  # intact
-  # if writing the next one fails. `current` is the newest checkpoint that the log supports: for every stream, the log
-  # contains all messages that the checkpoint builds on.
+  # intact if writing the next one fails. `current` is the newest checkpoint that the log supports: for every stream,
+  # the log contains all messages that the checkpoint builds on.
   alias Situ.Cluster.SignedEntry
   alias Situ.Error
   alias Situ.Cluster.Log
@@ -50,9 +49,9 @@ defmodule Situ.Cluster.Checkpoint do
       else
         entry = last || %Entry{op: ""}
         head = Map.put(entry.head, "Epoch", Integer.to_string(epoch))
-        taken = %Entry{op: "#{key}.#{slot}.take.#{epoch}", head: head, data: entry.data}
+        claim = %Entry{op: "#{key}.#{slot}.take.#{epoch}", head: head, data: entry.data}
 
-        case Log.append(log, subject, if(last, do: last.seq, else: 0), taken) do
+        case Log.append(log, subject, if(last, do: last.seq, else: 0), claim) do
           {:ok, seq} -> {:ok, seq, entry}
           {:refused, _} -> take_slot(log, key, slot, epoch)
           error -> error
@@ -67,14 +66,14 @@ defmodule Situ.Cluster.Checkpoint do
 
     with true <- number > checkpoint.number,
          {:ok, current} <- SignedEntry.decode_term(entry),
-         true <- borne_out?(current, marks) do
+         true <- supported?(current, marks) do
       %{checkpoint | current: current, number: number}
     else
       _ -> checkpoint
     end
   end
 
-  defp borne_out?(%{base: base}, marks),
+  defp supported?(%{base: base}, marks),
     do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
 
   @doc "Returns the component states that the part resumes from."

@@ -9,35 +9,44 @@ defmodule Situ.Cluster.Completion do
   @doc "Waits until all `parts` have ended, a part has failed, or `till` (monotonic ms) has passed."
   @spec await_parts(Log.t(), Deployment.t(), [String.t()], integer() | :infinity) ::
           :ok | {:error, Error.t()}
-  def await_parts(log, deployment, parts, till) do
+  def await_parts(log, deployment, parts, deadline) do
     states =
       for part <- parts,
           do: {part, Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})}
 
-    open =
+    unfinished =
       for {part, state} <- states,
           not match?({:ok, %{head: %{"State" => "done"}}}, state),
           do: part
 
-    failed =
+    failures =
       for {part, {:ok, %{head: %{"State" => "failed"}, data: text}}} <- states, do: {part, text}
 
-    forged = for {_, {:error, error}} <- states, SignedEntry.refusal?(error), do: error
+    refusals = for {_, {:error, error}} <- states, SignedEntry.refusal?(error), do: error
 
     # A failed part is reported immediately, even while others are running. A rejected state entry counts as a failure.
     cond do
-      forged != [] -> {:error, hd(forged)}
-      failed != [] -> {:error, failure_error(deployment, hd(failed))}
-      open == [] -> :ok
-      till != :infinity and monotonic_ms() > till -> {:error, timeout_error(deployment, hd(open))}
-      true -> await_again(log, deployment, open, till)
+      refusals != [] ->
+        {:error, hd(refusals)}
+
+      failures != [] ->
+        {:error, failure_error(deployment, hd(failures))}
+
+      unfinished == [] ->
+        :ok
+
+      deadline != :infinity and monotonic_ms() > deadline ->
+        {:error, timeout_error(deployment, hd(unfinished))}
+
+      true ->
+        await_again(log, deployment, unfinished, deadline)
     end
   end
 
-  defp await_again(log, deployment, parts, till) do
+  defp await_again(log, deployment, parts, deadline) do
     receive do
     after
-      50 -> await_parts(log, deployment, parts, till)
+      50 -> await_parts(log, deployment, parts, deadline)
     end
   end
 

@@ -4,11 +4,11 @@ defmodule Situ.Cluster.Deployment do
   # data.
   alias Situ.{Error, Options}
 
-  @where {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
+  @location {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
 
-  @place [
+  @place_schema [
     on: [
-      type: {:or, [@where, {:list, @where}]},
+      type: {:or, [@location, {:list, @location}]},
       doc:
         "A node, a label (string), `{:near, device}` (the node with the device, then the nodes with the shortest" <>
           " round trip to it), or a list in order of preference. Default: the least busy node."
@@ -102,7 +102,7 @@ defmodule Situ.Cluster.Deployment do
   @doc false
   def schema, do: @schema
   @doc false
-  def place_schema, do: @place
+  def place_schema, do: @place_schema
 
   @spec new(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(module, opts) when is_atom(module) do
@@ -157,7 +157,7 @@ defmodule Situ.Cluster.Deployment do
   defp parse_rules([], rules), do: {:ok, Enum.reverse(rules)}
 
   defp parse_rules([{path, rule} | rest], rules) when is_binary(path) or path == :rest do
-    with {:ok, rule} <- Options.validate(rule, @place) do
+    with {:ok, rule} <- Options.validate(rule, @place_schema) do
       rule = %{
         on: List.wrap(rule[:on]),
         only: rule[:only],

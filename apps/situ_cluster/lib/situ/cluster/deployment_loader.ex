@@ -48,8 +48,8 @@ defmodule Situ.Cluster.DeploymentLoader do
       :ok ->
         nil
 
-      {:error, %{code: :log_away}} = away ->
-        away
+      {:error, %{code: :log_away}} = unreachable ->
+        unreachable
 
       {:error, error} ->
         Logger.error(
@@ -82,7 +82,7 @@ defmodule Situ.Cluster.DeploymentLoader do
     with {:ok, plan} <- PartStarter.build_plan(deployment) do
       Enum.all?(plan.parts, fn {part, _} ->
         state = Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})
-        match?({:ok, %{head: %{"State" => how}}} when how in ["done", "failed"], state)
+        match?({:ok, %{head: %{"State" => phase}}} when phase in ["done", "failed"], state)
       end)
     else
       # The agent reports the reason when it fails to build the deployment.

@@ -15,7 +15,7 @@ defmodule Situ.Cluster.Deployments do
   @tries 100
 
   @typedoc "The deployments by name; `deployment` is `nil` when it was forgotten."
-  @type known :: %{String.t() => %{run: String.t(), deployment: Deployment.t() | nil}}
+  @type entries :: %{String.t() => %{run: String.t(), deployment: Deployment.t() | nil}}
 
   @doc """
   Stores a deployment and assigns its run. A deployment that is already stored under the same name must be equal to it.
@@ -30,11 +30,11 @@ defmodule Situ.Cluster.Deployments do
   end
 
   defp put_deployment(log, %{name: name} = deployment) do
-    update_known(log, fn known ->
-      with :ok <- check_same(known[name], deployment),
-           {:ok, run} <- choose_run(log, name, known[name]) do
+    update_entries(log, fn entries ->
+      with :ok <- check_same(entries[name], deployment),
+           {:ok, run} <- choose_run(log, name, entries[name]) do
         deployment = %{deployment | run: run}
-        {:ok, Map.put(known, name, %{run: run, deployment: deployment}), deployment}
+        {:ok, Map.put(entries, name, %{run: run, deployment: deployment}), deployment}
       end
     end)
   end
@@ -76,20 +76,20 @@ defmodule Situ.Cluster.Deployments do
   @doc "Marks a deployment as no longer to be run; its log remains."
   @spec forget(Log.t(), String.t()) :: :ok | {:error, Error.t()}
   def forget(log, name) do
-    change_known(log, fn known ->
-      if known[name], do: put_in(known[name].deployment, nil), else: known
+    change_entries(log, fn entries ->
+      if entries[name], do: put_in(entries[name].deployment, nil), else: entries
     end)
   end
 
   @doc "Removes a deployment whose log was deleted."
   @spec delete(Log.t(), String.t()) :: :ok | {:error, Error.t()}
-  def delete(log, name), do: change_known(log, &Map.delete(&1, name))
+  def delete(log, name), do: change_entries(log, &Map.delete(&1, name))
 
   @doc "Returns the deployments that should be running."
   @spec list_active(Log.t()) :: {:ok, [Deployment.t()]} | {:error, Error.t()}
   def list_active(log) do
-    with {:ok, known, _seq} <- read_known(seal_log(log)),
-         do: {:ok, for({_, %{deployment: %Deployment{} = d}} <- Enum.sort(known), do: d)}
+    with {:ok, entries, _seq} <- read_entries(seal_log(log)),
+         do: {:ok, for({_, %{deployment: %Deployment{} = d}} <- Enum.sort(entries), do: d)}
   end
 
   @doc "Returns the error for a second deployment with the same name."
@@ -101,39 +101,40 @@ defmodule Situ.Cluster.Deployments do
     )
   end
 
-  defp change_known(log, change) do
-    with {:ok, :ok} <- update_known(log, fn known -> {:ok, change.(known), :ok} end), do: :ok
+  defp change_entries(log, change) do
+    with {:ok, :ok} <- update_entries(log, fn entries -> {:ok, change.(entries), :ok} end),
+         do: :ok
   end
 
-  defp update_known(log, change), do: update_known(seal_log(log), change, @tries)
+  defp update_entries(log, change), do: update_entries(seal_log(log), change, @tries)
 
-  defp update_known(log, change, left) do
-    with {:ok, known, seq} <- read_known(log), {:ok, changed, answer} <- change.(known) do
-      if changed == known,
-        do: {:ok, answer},
-        else: write_known(log, {changed, seq, answer}, change, left)
+  defp update_entries(log, change, tries) do
+    with {:ok, entries, seq} <- read_entries(log), {:ok, updated, result} <- change.(entries) do
+      if updated == entries,
+        do: {:ok, result},
+        else: write_entries(log, {updated, seq, result}, change, tries)
     end
   end
 
-  defp write_known(log, {changed, seq, answer}, change, left) do
-    unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
-    entry = %Entry{op: "deployments.#{unique}", data: SignedEntry.encode_term(changed)}
+  defp write_entries(log, {updated, seq, result}, change, tries) do
+    nonce = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+    entry = %Entry{op: "deployments.#{nonce}", data: SignedEntry.encode_term(updated)}
 
     case Log.append(log, log_subject(), seq, entry) do
-      {:ok, _seq} -> {:ok, answer}
-      {:refused, _} when left > 0 -> update_known(log, change, left - 1)
+      {:ok, _seq} -> {:ok, result}
+      {:refused, _} when tries > 0 -> update_entries(log, change, tries - 1)
       {:refused, _} -> {:error, Error.new(:log_away, "the list of deployments is being written")}
       {:error, error} -> {:error, error}
     end
   end
 
-  defp read_known(log) do
+  defp read_entries(log) do
     case Log.fetch_last(log, log_subject()) do
       {:ok, nil} ->
         {:ok, %{}, 0}
 
       {:ok, entry} ->
-        with {:ok, known} <- SignedEntry.decode_term(entry), do: {:ok, known, entry.seq}
+        with {:ok, entries} <- SignedEntry.decode_term(entry), do: {:ok, entries, entry.seq}
 
       {:error, error} ->
         {:error, error}

@@ -39,7 +39,7 @@ defmodule Situ.Cluster.Identity do
   defp write_identity(folder) do
     issued = Certificate.issue_pem("a cluster of Situ", days: @days)
 
-    {of_node, of_server} = NatsIdentity.issue_files(@days)
+    {node_files, server_files} = NatsIdentity.issue_files(@days)
 
     files = [
       {"ca.pem", issued.authority},
@@ -53,8 +53,8 @@ defmodule Situ.Cluster.Identity do
          server = Path.join(folder, NatsIdentity.server_folder()),
          :ok <- File.mkdir_p(server),
          :ok <- File.chmod(server, 0o700),
-         :ok <- write_files(of_server, server),
-         :ok <- write_files(of_node ++ files, folder) do
+         :ok <- write_files(server_files, server),
+         :ok <- write_files(node_files ++ files, folder) do
       :ok
     else
       {:error, reason} ->

@@ -18,9 +18,9 @@ defmodule Situ.Cluster.InletComponent do
   alias Situ.Error
 
   # Messages of about this total size are in flight at the same time, within the two limits for their number.
-  @bytes 12 * 1024 * 1024
-  @least 4
-  @most 4_000
+  @window_bytes 12 * 1024 * 1024
+  @min_window 4
+  @max_window 4_000
 
   @impl true
   def init(opts) do
@@ -36,14 +36,14 @@ defmodule Situ.Cluster.InletComponent do
   @impl true
   def snapshot(state), do: {:ok, Map.take(state, [:last, :made, :time])}
   @impl true
-  def restore(mark, fresh), do: {:ok, Map.merge(fresh, mark)}
+  def restore(mark, state), do: {:ok, Map.merge(state, mark)}
 
   # Requests messages again as soon as half of the window is free.
   @impl true
-  def handle_demand(_n, _context, %{sub: %{asked: asked, window: window} = sub} = state)
-      when asked <= div(window, 2) do
-    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:ask, window - asked}})
-    {[], %{state | sub: %{sub | asked: window}}}
+  def handle_demand(_n, _context, %{sub: %{demand: demand, window: window} = sub} = state)
+      when demand <= div(window, 2) do
+    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:ask, window - demand}})
+    {[], %{state | sub: %{sub | demand: window}}}
   end
 
   def handle_demand(_n, _context, state), do: {[], state}
@@ -70,42 +70,34 @@ defmodule Situ.Cluster.InletComponent do
 
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, %{direct: true} = state)
       when state.sub.ref == ref and is_list(messages) and messages != [] do
-    sub = %{
-      state.sub
-      | asked: state.sub.asked - length(messages),
-        window: demand_window(messages)
-    }
+    state = record_delivery(state, messages)
 
-    fresh = Enum.drop_while(messages, &(state.time != nil and &1.originating_time <= state.time))
+    unseen = Enum.drop_while(messages, &(state.time != nil and &1.originating_time <= state.time))
 
-    {fresh, {last, made, time}} =
-      Enum.map_reduce(fresh, {state.last, state.made, state.time}, fn m, {last, made, _} ->
+    {unseen, {last, made, time}} =
+      Enum.map_reduce(unseen, {state.last, state.made, state.time}, fn m, {last, made, _} ->
         {m, made} = clamp_creation_time(m, made)
         {%{m | sequence_id: last + 1}, {last + 1, made, m.originating_time}}
       end)
 
-    state = %{state | sub: sub, last: last, made: made, time: time}
-    {if(fresh == [], do: [], else: [{:out, fresh}]), state}
+    state = %{state | last: last, made: made, time: time}
+    {if(unseen == [], do: [], else: [{:out, unseen}]), state}
   end
 
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, state)
       when state.sub.ref == ref and is_list(messages) and messages != [] do
-    sub = %{
-      state.sub
-      | asked: state.sub.asked - length(messages),
-        window: demand_window(messages)
-    }
+    state = record_delivery(state, messages)
 
     case Enum.drop_while(messages, &(&1.sequence_id <= state.last)) do
       [] ->
-        {[], %{state | sub: sub}}
+        {[], state}
 
       [%{sequence_id: id} | _] when id > state.last + 1 ->
         raise trimmed_error(state, id)
 
-      fresh ->
-        {fresh, made} = Enum.map_reduce(fresh, state.made, &clamp_creation_time/2)
-        {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id, made: made}}
+      unseen ->
+        {unseen, made} = Enum.map_reduce(unseen, state.made, &clamp_creation_time/2)
+        {[{:out, unseen}], %{state | last: List.last(unseen).sequence_id, made: made}}
     end
   end
 
@@ -113,6 +105,11 @@ defmodule Situ.Cluster.InletComponent do
     do: {[], %{state | sub: nil}}
 
   def handle_info(_other, _context, state), do: {[], state}
+
+  defp record_delivery(state, messages) do
+    demand = state.sub.demand - length(messages)
+    %{state | sub: %{state.sub | demand: demand, window: demand_window(messages)}}
+  end
 
   defp unpack_messages(body, first),
     do: body |> MessageBatch.unpack_rows() |> MessageBatch.rows_to_messages(first)
@@ -143,12 +140,15 @@ defmodule Situ.Cluster.InletComponent do
     opts = [stream: state.stream, from: state.last, part: state.part, reader: state.reader]
     opts = [{:batches, true}, {:time, state.time} | opts]
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
-    send(pid, {:"$gen_producer", {self(), ref}, {:ask, @least}})
-    %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}
+    send(pid, {:"$gen_producer", {self(), ref}, {:ask, @min_window}})
+    %{state | sub: %{pid: pid, ref: ref, demand: @min_window, window: @min_window}}
   end
 
   defp demand_window([%{data: data} | _]),
-    do: div(@bytes, max(:erlang.external_size(data), 1)) |> max(@least) |> min(@most)
+    do:
+      div(@window_bytes, max(:erlang.external_size(data), 1))
+      |> max(@min_window)
+      |> min(@max_window)
 
   defp cancel_subscription(%{sub: nil} = state), do: state
 

@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Lease do
   @moduledoc false
-  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `judge_look/3` is
+  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `judge_reading/3` is
   # pure.
   #
   # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
@@ -11,48 +11,58 @@ defmodule Situ.Cluster.Lease do
   alias Situ.Cluster.Log
   alias Situ.Cluster.Log.Entry
 
-  defstruct [:seq, :since, :looked, :owner, gone: false, took: 0]
+  defstruct [:seq, :since, :read_at, :owner, owner_down?: false, read_ms: 0]
 
   @typedoc """
-  `seq`: the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: the duration of the
-  last reading, ms.
+  `seq`: the lease's number since `since` (ms); `owner_down?`: the owner's node was reported down; `read_ms`: the
+  duration of the last reading.
   """
   @type t :: %__MODULE__{
           seq: non_neg_integer() | nil,
           since: integer() | nil,
-          looked: integer() | nil,
+          read_at: integer() | nil,
           owner: String.t() | nil,
-          gone: boolean(),
-          took: non_neg_integer()
+          owner_down?: boolean(),
+          read_ms: non_neg_integer()
         }
 
   @typedoc "One reading of the lease: its `seq` and `owner`, and the times (ms) before and after."
-  @type look :: {non_neg_integer(), String.t() | nil, integer(), integer()}
+  @type reading :: {non_neg_integer(), String.t() | nil, integer(), integer()}
 
   @doc """
   Evaluates one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. This observer waits
   `wait` ms longer than the lease, so that preferred nodes come first.
   """
-  @spec judge_look(t(), look(), map()) :: {:take | :wait, t()}
-  def judge_look(%__MODULE__{} = lease, {seq, owner, before, now}, %{
+  @spec judge_reading(t(), reading(), map()) :: {:take | :wait, t()}
+  def judge_reading(%__MODULE__{} = lease, {seq, owner, started, now}, %{
         lease: ms,
         poll: poll,
         wait: wait
       }) do
-    late? = lease.looked != nil and (now - before > ms or before - lease.looked > ms + 4 * poll)
+    late? =
+      lease.read_at != nil and (now - started > ms or started - lease.read_at > ms + 4 * poll)
 
     # The time of a slow reading does not count, so the count continues on a busy machine, but more slowly.
-    slow = if now - before > div(ms, 4), do: now - before, else: 0
+    slow = if now - started > div(ms, 4), do: now - started, else: 0
     same? = lease.seq == seq and not late?
     since = if same?, do: lease.since + slow, else: now
-    gone? = lease.gone and lease.seq == seq
-    lease = %{lease | seq: seq, owner: owner, since: since, looked: now, gone: gone?}
-    lease = %{lease | took: now - before}
+    owner_down? = lease.owner_down? and lease.seq == seq
+
+    lease = %{
+      lease
+      | seq: seq,
+        owner: owner,
+        since: since,
+        read_at: now,
+        owner_down?: owner_down?
+    }
+
+    lease = %{lease | read_ms: now - started}
 
     free? =
       cond do
         seq == 0 or owner == "" -> now - since >= wait
-        gone? -> now - since >= div(wait, 10)
+        owner_down? -> now - since >= div(wait, 10)
         true -> now - since >= ms + wait
       end
 
@@ -65,29 +75,29 @@ defmodule Situ.Cluster.Lease do
   """
   @spec note_renewal(t(), pos_integer(), String.t(), integer()) :: t()
   def note_renewal(%__MODULE__{} = lease, seq, owner, now),
-    do: %{lease | seq: seq, owner: owner, since: now, looked: now, gone: false}
+    do: %{lease | seq: seq, owner: owner, since: now, read_at: now, owner_down?: false}
 
   @doc "Records that a node was reported down. This is only a hint; the fence makes the takeover safe."
   @spec note_node_down(t(), node()) :: t()
   def note_node_down(%__MODULE__{owner: owner} = lease, node),
-    do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)
+    do: if(owner == Atom.to_string(node), do: %{lease | owner_down?: true}, else: lease)
 
   @doc "Reads the lease from the log."
   @spec read_lease(Log.t(), String.t()) ::
-          {:ok, look()} | {:error, Situ.Error.t()}
+          {:ok, reading()} | {:error, Situ.Error.t()}
   def read_lease(log, key) do
-    before = monotonic_ms()
+    started = monotonic_ms()
 
     case Log.fetch_last(log, {:key, key}) do
       {:ok, entry} ->
         owner = if entry, do: Map.get(entry.head, "Node", "")
-        {:ok, {if(entry, do: entry.seq, else: 0), owner, before, monotonic_ms()}}
+        {:ok, {if(entry, do: entry.seq, else: 0), owner, started, monotonic_ms()}}
 
       # An intruder or an older version has written the lease. It expires like the lease of a lost node. The next
       # owner's number is larger, so the content of this entry does not matter.
       {:error, error} ->
         if SignedEntry.refusal?(error),
-          do: {:ok, {error.meta.seq, "nobody of this cluster", before, monotonic_ms()}},
+          do: {:ok, {error.meta.seq, "nobody of this cluster", started, monotonic_ms()}},
           else: {:error, error}
     end
   end
@@ -103,9 +113,9 @@ defmodule Situ.Cluster.Lease do
   def release(log, key, seq), do: write_owner(log, key, seq, {"", 0}, "release")
 
   defp write_owner(log, key, seq, {owner, ms}, verb) do
-    unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+    nonce = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
     head = %{"Node" => owner, "Ms" => Integer.to_string(ms)}
-    entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: head}
+    entry = %Entry{op: "#{verb}.#{node()}.#{nonce}", head: head}
     Log.append(log, {:key, key}, seq, entry)
   end
 
@@ -125,60 +135,60 @@ defmodule Situ.Cluster.Lease do
           {pid(), (pos_integer() | :free -> term())}
         ) ::
           no_return()
-  def keep_renewing(log, key, seq, ms, {publisher, tell}) do
+  def keep_renewing(log, key, seq, ms, {publisher, on_change}) do
     Process.flag(:trap_exit, true)
-    tell.(seq)
+    on_change.(seq)
 
     await_renewal(
-      %{log: log, key: key, ms: ms, publisher: publisher, tell: tell},
+      %{log: log, key: key, ms: ms, publisher: publisher, on_change: on_change},
       seq,
       monotonic_ms()
     )
   end
 
-  defp await_renewal(lease, seq, written) do
+  defp await_renewal(lease, seq, last_write) do
     receive do
       {:release, from} ->
         release(lease.log, lease.key, seq)
-        lease.tell.(:free)
+        lease.on_change.(:free)
         send(from, :released)
 
       {:EXIT, _pid, reason} when reason != :normal ->
         exit(reason)
     after
       div(lease.ms, 4) ->
-        lease |> renew_lease(seq, written) |> handle_renewal(lease, seq, written)
+        lease |> renew_lease(seq, last_write) |> handle_renewal(lease, seq, last_write)
     end
   end
 
   # The log may be slow to report that it is unreachable, so the write has a deadline.
-  defp renew_lease(lease, seq, written) do
+  defp renew_lease(lease, seq, last_write) do
     started = monotonic_ms()
     owner = {Atom.to_string(node()), lease.ms}
     task = Task.async(fn -> write_owner(lease.log, lease.key, seq, owner, "beat") end)
 
-    case Task.yield(task, max(renewal_deadline(lease, written) - started, 0)) ||
+    case Task.yield(task, max(renewal_deadline(lease, last_write) - started, 0)) ||
            Task.shutdown(task, :brutal_kill) do
-      {:ok, answer} -> {answer, started}
+      {:ok, result} -> {result, started}
       _ -> {:late, started}
     end
   end
 
-  defp renewal_deadline(lease, written), do: written + div(lease.ms * 3, 4)
+  defp renewal_deadline(lease, last_write), do: last_write + div(lease.ms * 3, 4)
 
   defp handle_renewal({{:ok, seq}, started}, lease, _seq, _written) do
-    lease.tell.(seq)
+    lease.on_change.(seq)
     await_renewal(lease, seq, started)
   end
 
   defp handle_renewal({{:refused, _}, _started}, lease, _seq, _written), do: give_up_lease(lease)
   defp handle_renewal({:late, _started}, lease, _seq, _written), do: give_up_lease(lease)
 
-  defp handle_renewal({{:error, _}, _started}, lease, seq, written),
+  defp handle_renewal({{:error, _}, _started}, lease, seq, last_write),
     do:
-      if(monotonic_ms() > renewal_deadline(lease, written),
+      if(monotonic_ms() > renewal_deadline(lease, last_write),
         do: give_up_lease(lease),
-        else: await_renewal(lease, seq, written)
+        else: await_renewal(lease, seq, last_write)
       )
 
   defp give_up_lease(lease) do

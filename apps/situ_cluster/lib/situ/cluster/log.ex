@@ -1,38 +1,25 @@
 defmodule Situ.Cluster.Log do
-  @moduledoc """
-  Keeps a durable log of entries, grouped by subject. An append names the last entry, so each write happens exactly
-  once.
-
-  Every write names the sequence number of the entry that it follows (`0` if the subject is empty). It is refused if
-  another writer has appended an entry since. This one rule provides ordering, exactly-once writes and fencing. A writer
-  whose acknowledgement was lost sends the same entry again; its `op`, unique to each write, shows that the entry was
-  already written.
-
-  There are two kinds of subjects:
-
-    * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
-    * `{:key, name}` keeps only the last entry (leases, checkpoints).
-
-
-  There are two adapters:
-
-  | address | adapter | for |
-  |---|---|---|
-  | a folder | `Situ.Cluster.Log.Folder` | the processes of one machine (one local file system) |
-  | `nats://host:port,host:port` | `Situ.Cluster.Log.Nats` | several machines and sites: NATS JetStream, 2.9 or newer |
-
-      iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
-      iex> {:ok, log} = Situ.Cluster.Log.connect(root)
-      iex> alias Situ.Cluster.Log.Entry
-      iex> {:ok, 1} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
-      iex> {:refused, last} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "y.1", data: "late"})
-      iex> {last.seq, last.data}
-      {1, "first"}
-      iex> Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
-      {:ok, 1}
-      iex> File.rm_rf!(root) != []
-      true
-  """
+  @moduledoc false
+  # Keeps a durable log of entries, grouped by subject. An append names the last entry, so each
+  # write happens exactly once.
+  #
+  # Every write names the sequence number of the entry that it follows (`0` if the subject is
+  # empty). It is refused if another writer has appended an entry since. This one rule provides
+  # ordering, exactly-once writes and fencing. A writer whose acknowledgement was lost sends the
+  # same entry again; its `op`, unique to each write, shows that the entry was already written.
+  #
+  # There are two kinds of subjects:
+  #
+  #   * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
+  #   * `{:key, name}` keeps only the last entry (leases, checkpoints).
+  #
+  #
+  # There are two adapters:
+  #
+  # | address | adapter | for |
+  # |---|---|---|
+  # | a folder | `Situ.Cluster.Log.Folder` | the processes of one machine (one local file system) |
+  # | `nats://host:port,host:port` | `Situ.Cluster.Log.Nats` | several machines and sites: NATS JetStream, 2.9 or newer |
   # See docs/adr/0113-the-log-offers-one-conditional-append.md.
   alias Situ.Error
   alias Situ.Cluster.Log.Entry
@@ -47,7 +34,7 @@ defmodule Situ.Cluster.Log do
   A subject of a log: the number of its entries, their size in bytes, and the time when the last one was written (ns
   since 1970; `nil` if the log does not record it, such as NATS for keys).
   """
-  @type about :: %{
+  @type subject_info :: %{
           subject: subject(),
           entries: non_neg_integer(),
           bytes: non_neg_integer() | nil,
@@ -73,7 +60,7 @@ defmodule Situ.Cluster.Log do
   @callback last(conn :: term(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
 
   @doc "Returns up to `most` entries, beginning with the first one whose number is at least `from`."
-  @callback read(conn :: term(), subject(), from :: pos_integer(), most :: pos_integer()) ::
+  @callback read(conn :: term(), subject(), from :: pos_integer(), max :: pos_integer()) ::
               {:ok, [Entry.t()]} | {:error, Error.t()}
 
   @doc """
@@ -87,7 +74,7 @@ defmodule Situ.Cluster.Log do
   @callback trim(conn :: term(), subject(), seq :: pos_integer()) :: :ok | {:error, Error.t()}
 
   @doc "Lists every subject that was written to and not deleted, in any order."
-  @callback subjects(conn :: term()) :: {:ok, [about()]} | {:error, Error.t()}
+  @callback subjects(conn :: term()) :: {:ok, [subject_info()]} | {:error, Error.t()}
 
   @doc "Deletes a subject and all its entries. Returns `:ok` if it does not exist."
   @callback delete(conn :: term(), subject()) :: :ok | {:error, Error.t()}
@@ -98,7 +85,21 @@ defmodule Situ.Cluster.Log do
   @doc "Closes the log."
   @callback close(conn :: term()) :: :ok
 
-  @doc "Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter."
+  @doc """
+  Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
+      iex> {:ok, log} = Situ.Cluster.Log.connect(root)
+      iex> alias Situ.Cluster.Log.Entry
+      iex> {:ok, 1} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
+      iex> {:refused, last} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "y.1", data: "late"})
+      iex> {last.seq, last.data}
+      {1, "first"}
+      iex> Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
+      {:ok, 1}
+      iex> File.rm_rf!(root) != []
+      true
+  """
   @spec connect(String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def connect(address, opts \\ []) when is_binary(address) do
     with {:ok, adapter} <- select_adapter(address),
@@ -138,8 +139,8 @@ defmodule Situ.Cluster.Log do
   @doc "Returns up to `most` entries, starting at number `from`."
   @spec read(t(), subject(), pos_integer(), pos_integer()) ::
           {:ok, [Entry.t()]} | {:error, Error.t()}
-  def read(%__MODULE__{adapter: adapter, conn: conn}, subject, from, most \\ 1),
-    do: adapter.read(conn, subject, from, most)
+  def read(%__MODULE__{adapter: adapter, conn: conn}, subject, from, max \\ 1),
+    do: adapter.read(conn, subject, from, max)
 
   @doc "Deletes the entries before `seq`; the last one stays."
   @spec trim(t(), subject(), pos_integer()) :: :ok | {:error, Error.t()}
@@ -159,7 +160,7 @@ defmodule Situ.Cluster.Log do
       iex> File.rm_rf!(root) != []
       true
   """
-  @spec list_subjects(t()) :: {:ok, [about()]} | {:error, Error.t()}
+  @spec list_subjects(t()) :: {:ok, [subject_info()]} | {:error, Error.t()}
   def list_subjects(%__MODULE__{adapter: adapter, conn: conn}) do
     with {:ok, all} <- adapter.subjects(conn), do: {:ok, Enum.sort_by(all, & &1.subject)}
   end
@@ -186,30 +187,30 @@ defmodule Situ.Cluster.Log do
   """
   @spec find_position(t(), subject(), (Entry.t() -> boolean())) ::
           {:ok, pos_integer() | nil} | {:error, Error.t()}
-  def find_position(log, subject, enough?) do
+  def find_position(log, subject, reached?) do
     with {:ok, first} <- read(log, subject, 1, 1), {:ok, last} <- fetch_last(log, subject) do
       case {first, last} do
         {[], _} -> {:ok, nil}
         {_, nil} -> {:ok, nil}
-        {[first], last} -> bisect_range(log, subject, enough?, first.seq, last.seq + 1, last.seq)
+        {[first], last} -> bisect_range(log, subject, reached?, first.seq, last.seq + 1, last.seq)
       end
     end
   end
 
-  defp bisect_range(_log, _subject, _enough?, low, low, last),
-    do: {:ok, if(low > last, do: nil, else: low)}
+  defp bisect_range(_log, _subject, _enough?, from, from, last),
+    do: {:ok, if(from > last, do: nil, else: from)}
 
-  defp bisect_range(log, subject, enough?, low, high, last) do
-    middle = div(low + high, 2)
+  defp bisect_range(log, subject, reached?, from, to, last) do
+    middle = div(from + to, 2)
 
     case read(log, subject, middle, 1) do
       {:ok, [entry]} ->
-        if enough?.(entry),
-          do: bisect_range(log, subject, enough?, low, middle, last),
-          else: bisect_range(log, subject, enough?, min(entry.seq + 1, high), high, last)
+        if reached?.(entry),
+          do: bisect_range(log, subject, reached?, from, middle, last),
+          else: bisect_range(log, subject, reached?, min(entry.seq + 1, to), to, last)
 
       {:ok, []} ->
-        bisect_range(log, subject, enough?, low, middle, last)
+        bisect_range(log, subject, reached?, from, middle, last)
 
       error ->
         error

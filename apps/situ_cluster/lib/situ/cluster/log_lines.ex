@@ -1,12 +1,13 @@
 defmodule Situ.Cluster.LogLines do
-  @moduledoc """
-  Keeps the last lines that each node has logged, and makes them readable from any node: `bin/situ cluster logs`.
-
-  A handler of Erlang's logger stores the last 2,000 lines of a node in a table. A line has at most 4,000 characters
-  and is meant for people. Anybody with the cluster's cookie can read the lines.
-  """
-  @keep 2_000
-  @most_characters 4_000
+  @moduledoc false
+  # Keeps the last lines that each node has logged, and makes them readable from any node:
+  # `bin/situ cluster logs`.
+  #
+  # A handler of Erlang's logger stores the last 2,000 lines of a node in a table. A line has at
+  # most 4,000 characters and is meant for people. Anybody with the cluster's cookie can read the
+  # lines.
+  @max_lines 2_000
+  @max_characters 4_000
   # This key holds the last line number; all other keys are line numbers.
   @counter :last
 
@@ -30,13 +31,13 @@ defmodule Situ.Cluster.LogLines do
 
   @doc "Returns the newest lines (at most `most`) after line number `from`, oldest first."
   @spec read(non_neg_integer(), pos_integer()) :: [line()]
-  def read(from \\ 0, most \\ @keep) do
+  def read(from \\ 0, max \\ @max_lines) do
     rows =
       :ets.select(__MODULE__, [
         {{:"$1", :"$2"}, [{:is_integer, :"$1"}, {:>, :"$1", from}], [{{:"$1", :"$2"}}]}
       ])
 
-    for {n, {time, level, text}} <- Enum.take(rows, -most),
+    for {n, {time, level, text}} <- Enum.take(rows, -max),
         do: %{n: n, time: time, level: level, text: text}
   rescue
     # This node is not, or is no longer, a member.
@@ -51,11 +52,11 @@ defmodule Situ.Cluster.LogLines do
       event
       |> :logger_formatter.format(%{single_line: true, template: [:msg]})
       |> IO.chardata_to_string()
-      |> String.slice(0, @most_characters)
+      |> String.slice(0, @max_characters)
 
     n = :ets.update_counter(__MODULE__, @counter, 1)
     :ets.insert(__MODULE__, {n, {time * 1_000, level, text}})
-    :ets.delete(__MODULE__, n - @keep)
+    :ets.delete(__MODULE__, n - @max_lines)
   rescue
     # The table ends with the node's membership, and logging must not fail because of it.
     _ in [ArgumentError, UnicodeConversionError] -> :ok

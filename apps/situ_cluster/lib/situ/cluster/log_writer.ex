@@ -37,8 +37,8 @@ defmodule Situ.Cluster.LogWriter do
 
   @doc "Appends batches; `mark` is the position of the stream after them."
   @spec append_batches(pid(), String.t(), [MessageBatch.t()], StreamEntry.mark()) :: :ok
-  def append_batches(scribe, name, batches, mark),
-    do: GenServer.cast(scribe, {:append, name, batches, mark})
+  def append_batches(writer, name, batches, mark),
+    do: GenServer.cast(writer, {:append, name, batches, mark})
 
   @doc """
   Stores a checkpoint with `cut`, the outputs that precede the checkpoint and are not in the log yet. Then appends
@@ -51,8 +51,8 @@ defmodule Situ.Cluster.LogWriter do
           GenServer.from()
         ) ::
           :ok
-  def commit_checkpoint(scribe, memories, cut, from),
-    do: GenServer.cast(scribe, {:commit, memories, cut, from})
+  def commit_checkpoint(writer, memories, outputs, from),
+    do: GenServer.cast(writer, {:commit, memories, outputs, from})
 
   @impl true
   def init(state), do: {:ok, state}
@@ -61,9 +61,9 @@ defmodule Situ.Cluster.LogWriter do
   def handle_cast({:append, name, batches, mark}, state),
     do: {:noreply, write_and_report(state, name, {batches, mark})}
 
-  def handle_cast({:commit, memories, cut, from}, state) do
+  def handle_cast({:commit, memories, outputs, from}, state) do
     base = Map.new(state.streams, fn {name, stream} -> {name, stream.mark.last} end)
-    pending = Map.filter(cut, fn {name, {_, mark}} -> mark != state.streams[name].mark end)
+    pending = Map.filter(outputs, fn {name, {_, mark}} -> mark != state.streams[name].mark end)
     current = %{memories: memories, base: base, pending: pending}
 
     checkpoint =
@@ -72,8 +72,8 @@ defmodule Situ.Cluster.LogWriter do
       end)
 
     state =
-      Enum.reduce(pending, %{state | checkpoint: checkpoint}, fn {name, cut}, state ->
-        write_and_report(state, name, cut)
+      Enum.reduce(pending, %{state | checkpoint: checkpoint}, fn {name, outputs}, state ->
+        write_and_report(state, name, outputs)
       end)
 
     GenServer.reply(from, :ok)

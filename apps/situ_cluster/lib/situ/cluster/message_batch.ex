@@ -75,7 +75,7 @@ defmodule Situ.Cluster.MessageBatch do
   @doc "Returns a batch of the messages after sequence id `last`, or `nil` if there are none."
   @spec take_after(t(), non_neg_integer()) :: t() | nil
   def take_after(%__MODULE__{first: first} = batch, last) when last < first, do: batch
-  def take_after(%__MODULE__{last: own}, last) when last >= own, do: nil
+  def take_after(%__MODULE__{last: end_id}, last) when last >= end_id, do: nil
 
   def take_after(%__MODULE__{} = batch, last),
     do: batch |> to_messages() |> Enum.drop(last - batch.first + 1) |> pack_messages()
@@ -83,7 +83,7 @@ defmodule Situ.Cluster.MessageBatch do
   @doc "Splits a batch of at least two messages into two."
   @spec split_in_half(t()) :: {t(), t()}
   def split_in_half(%__MODULE__{first: first, last: last} = batch) when last > first do
-    {one, two} = batch |> to_messages() |> Enum.split(div(last - first + 1, 2))
-    {pack_messages(one), pack_messages(two)}
+    {head, tail} = batch |> to_messages() |> Enum.split(div(last - first + 1, 2))
+    {pack_messages(head), pack_messages(tail)}
   end
 end

@@ -1,23 +1,24 @@
 defmodule Situ.Cluster.NodeMetrics do
-  @moduledoc """
-  Measures the nodes of a cluster: the load and the devices of each, and the round trips between them.
-
-  Each node measures itself once a second and sends the result to the others. Placement by load and by distance uses
-  the measurements, and the studio's cluster page shows them. A node that has been silent for five seconds is dropped.
-  The others try to reconnect to it for ten minutes.
-
-      Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used recently
-  """
+  @moduledoc false
+  # Measures the nodes of a cluster: the load and the devices of each, and the round trips between
+  # them.
+  #
+  # Each node measures itself once a second and sends the result to the others. Placement by load
+  # and by distance uses the measurements, and the studio's cluster page shows them. A node that
+  # has been silent for five seconds is dropped. The others try to reconnect to it for ten
+  # minutes.
+  #
+  #     Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used recently
   use GenServer
 
-  @every_ms 1_000
-  @known_ms 5_000
+  @beat_ms 1_000
+  @stale_ms 5_000
   # How long to keep reconnecting to a lost node, since the network may have failed.
-  @call_ms 600_000
+  @reconnect_ms 600_000
   # The weight of the last second in the moving average.
   @weight 0.4
 
-  defstruct [:table, :devices, :last, busy: 0.0, machine: 0.0, calling: %{}]
+  defstruct [:table, :devices, :last_sample, busy: 0.0, machine: 0.0, reconnects: %{}]
 
   @typedoc """
   `busy`: cores used by the node's own VM; `cores`: cores it may use; `machine`: load of the whole machine, 0 to 1;
@@ -39,7 +40,7 @@ defmodule Situ.Cluster.NodeMetrics do
   @spec recent_vitals() :: %{node() => vital()}
   def recent_vitals do
     now = monotonic_ms()
-    for {node, at, vital} <- table_entries(), now - at < @known_ms, into: %{}, do: {node, vital}
+    for {node, at, vital} <- table_entries(), now - at < @stale_ms, into: %{}, do: {node, vital}
   end
 
   defp table_entries do
@@ -52,12 +53,12 @@ defmodule Situ.Cluster.NodeMetrics do
   def init(devices) do
     table = :ets.new(__MODULE__, [:named_table, :protected, read_concurrency: true])
     send(self(), :beat)
-    {:ok, %__MODULE__{table: table, devices: devices, last: sample_load()}}
+    {:ok, %__MODULE__{table: table, devices: devices, last_sample: sample_load()}}
   end
 
   @impl true
   def handle_info(:beat, state) do
-    Process.send_after(self(), :beat, @every_ms)
+    Process.send_after(self(), :beat, @beat_ms)
     state = update_load(state)
     vital = own_vital(state)
     :ets.insert(state.table, {node(), monotonic_ms(), vital})
@@ -87,29 +88,29 @@ defmodule Situ.Cluster.NodeMetrics do
   # Erlang connects nodes only when one sends a message, and no messages are sent to a lost node. Connecting can take
   # several seconds.
   defp call_lost_nodes(state) do
-    calling = Map.filter(state.calling, fn {_, pid} -> Process.alive?(pid) end)
+    reconnects = Map.filter(state.reconnects, fn {_, pid} -> Process.alive?(pid) end)
 
     lost =
       for {node, at, _} <- table_entries(),
-          monotonic_ms() - at < @call_ms,
+          monotonic_ms() - at < @reconnect_ms,
           node != node(),
           node not in Node.list(),
-          not is_map_key(calling, node),
+          not is_map_key(reconnects, node),
           do: node
 
-    called = Map.new(lost, fn node -> {node, spawn(Node, :connect, [node])} end)
-    %{state | calling: Map.merge(calling, called)}
+    started = Map.new(lost, fn node -> {node, spawn(Node, :connect, [node])} end)
+    %{state | reconnects: Map.merge(reconnects, started)}
   end
 
   defp update_load(state) do
     {cpu, at, busy, total} = now = sample_load()
-    {cpu0, at0, busy0, total0} = state.last
+    {cpu0, at0, busy0, total0} = state.last_sample
     wall = max(at - at0, 1)
     machine = if total > total0, do: (busy - busy0) / (total - total0), else: state.machine
 
     %{
       state
-      | last: now,
+      | last_sample: now,
         busy: smooth_load(state.busy, (cpu - cpu0) / wall),
         machine: smooth_load(state.machine, machine)
     }

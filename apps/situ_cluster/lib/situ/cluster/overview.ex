@@ -1,17 +1,16 @@
 defmodule Situ.Cluster.Overview do
-  @moduledoc """
-  Describes the current state of a cluster for display: nodes, parts with their streams and readers, and the links and
-  recordings of every node. The result is plain data.
-
-      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
-      Situ.Cluster.overview().nodes
-  """
+  @moduledoc false
+  # Describes the current state of a cluster for display: nodes, parts with their streams and
+  # readers, and the links and recordings of every node. The result is plain data.
+  #
+  #     {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
+  #     Situ.Cluster.overview().nodes
   alias Situ.Cluster.{Agent, Recordings, Runner, NodeMetrics}
 
   # A node may be suspended, so a reply is not awaited for longer.
   @answer_ms 2_000
 
-  defstruct time: 0, here: nil, nodes: [], parts: [], links: [], recordings: []
+  defstruct time: 0, own_node: nil, nodes: [], parts: [], links: [], recordings: []
 
   @typedoc """
   `time`: ns since 1970. `readers` of a stream: the parts that read it, each with the number of messages it is
@@ -19,7 +18,7 @@ defmodule Situ.Cluster.Overview do
   """
   @type t :: %__MODULE__{
           time: Situ.Time.t(),
-          here: node(),
+          own_node: node(),
           nodes: [map()],
           parts: [part()],
           links: [map()],
@@ -44,7 +43,7 @@ defmodule Situ.Cluster.Overview do
 
     %__MODULE__{
       time: Situ.Time.now(),
-      here: node(),
+      own_node: node(),
       nodes: describe_nodes(info.members),
       parts: Enum.flat_map(Enum.sort_by(info.deployments, & &1.name), &list_parts(&1, nodes)),
       links: Enum.flat_map(nodes, &list_links/1),
@@ -100,13 +99,13 @@ defmodule Situ.Cluster.Overview do
 
   defp describe_streams(%{streams: streams, readers: readers}) do
     for {name, stream} <- Enum.sort(streams) do
-      reading =
+      stream_readers =
         for %{stream: ^name} = r <- readers,
             do: %{node: r.node, part: r.part, behind: max(stream.messages - r.last, 0)}
 
       stream
       |> Map.take([:messages, :time, :closed])
-      |> Map.merge(%{name: name, readers: reading})
+      |> Map.merge(%{name: name, readers: stream_readers})
     end
   end
 

@@ -15,19 +15,24 @@ defmodule Situ.Cluster.PartGraph do
   def build_part_graph(%Graph{} = graph, plan, name, links) do
     %{ids: ids} = Map.fetch!(plan.parts, name)
     others = graph.vertices |> Map.keys() |> MapSet.new() |> MapSet.difference(ids)
-    kept = Additions.remove_vertices(graph, others)
+    part_graph = Additions.remove_vertices(graph, others)
 
-    kept =
+    part_graph =
       Enum.reduce(
         incoming_streams(graph, plan, ids),
-        kept,
+        part_graph,
         &add_inlet(&1, &2, graph, links.inlet)
       )
 
-    kept = Enum.reduce(Plan.outgoing_streams(plan, name), kept, &add_outlet(&1, &2, links.outlet))
+    part_graph =
+      Enum.reduce(
+        Plan.outgoing_streams(plan, name),
+        part_graph,
+        &add_outlet(&1, &2, links.outlet)
+      )
 
     # A part without sources runs by the wall clock, because its inputs determine its time.
-    if has_sources?(graph, ids), do: kept, else: %{kept | proposals: []}
+    if has_sources?(graph, ids), do: part_graph, else: %{part_graph | proposals: []}
   end
 
   @doc "Returns whether the part contains a source."
@@ -47,9 +52,9 @@ defmodule Situ.Cluster.PartGraph do
     for {_, %{from: ^from, to: {to, _}} = edge} <- graph.edges, MapSet.member?(ids, to), do: edge
   end
 
-  defp add_inlet({stream, edges}, graph, whole, options) do
+  defp add_inlet({stream, edges}, graph, full_graph, options) do
     {id, output} = stream.from
-    port = whole.vertices[id].outputs[output]
+    port = full_graph.vertices[id].outputs[output]
 
     {vertex, graph} =
       add_vertex(graph, %Vertex{

@@ -10,10 +10,10 @@ defmodule Situ.Cluster.PartProcesses do
   def start_keeper(state, key) do
     %{log: log, epoch: epoch, publisher: publisher, standby: %{ms: ms}} = state
     part = {state.deployment.name, state.part}
-    tell = &Member.report_lease(part, &1)
+    on_change = &Member.report_lease(part, &1)
 
     {:ok, keeper} =
-      Task.start_link(fn -> Lease.keep_renewing(log, key, epoch, ms, {publisher, tell}) end)
+      Task.start_link(fn -> Lease.keep_renewing(log, key, epoch, ms, {publisher, on_change}) end)
 
     %{state | keeper: keeper}
   end

@@ -58,15 +58,16 @@ defmodule Situ.Cluster.PartStarter do
   # Handlers close the recordings and links that `build/2` has opened. The handlers of a resource run with the
   # components that use it. A resource that only other parts use is closed here; otherwise each part would leave an
   # empty recording. All other handlers run with the main part and with parts that record.
-  defp keep_handlers(graph, whole, plan, part) do
+  defp keep_handlers(graph, full_graph, plan, part) do
     main? = part == Plan.main_part(plan)
     records? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
 
-    {kept, others} =
+    {handlers, others} =
       Enum.split_with(graph.handlers, fn {_event, fun} ->
         case graph.resources do
           %{^fun => resource} ->
-            uses_resource?(graph, resource) or (main? and not uses_resource?(whole, resource))
+            uses_resource?(graph, resource) or
+              (main? and not uses_resource?(full_graph, resource))
 
           _ ->
             main? or records?
@@ -74,7 +75,7 @@ defmodule Situ.Cluster.PartStarter do
       end)
 
     abandon_graph(%{graph | handlers: others})
-    %{graph | handlers: kept}
+    %{graph | handlers: handlers}
   end
 
   defp uses_resource?(graph, resource),

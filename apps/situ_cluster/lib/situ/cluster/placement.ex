@@ -16,8 +16,8 @@ defmodule Situ.Cluster.Placement do
   @steps 4
 
   @spec build_member(map()) :: member()
-  def build_member(known),
-    do: Map.merge(%{labels: [], devices: [], machine: 0.0, trips: %{}}, known)
+  def build_member(info),
+    do: Map.merge(%{labels: [], devices: [], machine: 0.0, trips: %{}}, info)
 
   @doc "Returns the rank of `node` in the order of preference (0 is first), or `nil` when it may not run the part."
   @spec node_rank(members(), map(), String.t(), node()) :: non_neg_integer() | nil
@@ -51,11 +51,12 @@ defmodule Situ.Cluster.Placement do
 
   # Returns the nodes that have the device, then all others, nearest first.
   defp matching_nodes(members, {:near, device}, only) do
-    {having, others} = members |> Map.keys() |> Enum.split_with(&(device in members[&1].devices))
+    {equipped, others} =
+      members |> Map.keys() |> Enum.split_with(&(device in members[&1].devices))
 
-    if only or having == [],
-      do: having,
-      else: having ++ Enum.sort_by(others, &nearest_trip(members[&1], having))
+    if only or equipped == [],
+      do: equipped,
+      else: equipped ++ Enum.sort_by(others, &nearest_trip(members[&1], equipped))
   end
 
   defp matching_nodes(members, label, _only) do
@@ -65,6 +66,6 @@ defmodule Situ.Cluster.Placement do
   end
 
   # Atoms are greater than numbers, so a node without a measured round trip is last.
-  defp nearest_trip(member, having),
-    do: having |> Enum.map(&Map.get(member.trips, &1, :far)) |> Enum.min()
+  defp nearest_trip(member, equipped),
+    do: equipped |> Enum.map(&Map.get(member.trips, &1, :far)) |> Enum.min()
 end

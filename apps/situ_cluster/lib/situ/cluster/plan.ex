@@ -35,12 +35,13 @@ defmodule Situ.Cluster.Plan do
     with :ok <- check_known(names, graph),
          {:ok, published} <- resolve_ports(deployment.publish, graph),
          {:ok, direct} <- resolve_ports(deployment.direct, graph) do
-      of = Map.new(graph.vertices, fn {id, vertex} -> {id, owning_part(vertex.path, names)} end)
+      part_of =
+        Map.new(graph.vertices, fn {id, vertex} -> {id, owning_part(vertex.path, names)} end)
 
-      with :ok <- check_not_empty(names, of),
-           of = split_sources(graph, of),
-           streams = build_streams(graph, of, published, direct),
-           plan = %__MODULE__{parts: build_parts(of, deployment), streams: streams},
+      with :ok <- check_not_empty(names, part_of),
+           part_of = split_sources(graph, part_of),
+           streams = build_streams(graph, part_of, published, direct),
+           plan = %__MODULE__{parts: build_parts(part_of, deployment), streams: streams},
            :ok <- check_direct(deployment, plan),
            :ok <- check_repeatable(plan),
            do: {:ok, plan}
@@ -63,14 +64,14 @@ defmodule Situ.Cluster.Plan do
 
   # A restarted part receives other messages of a direct stream than before, or none.
   defp check_repeatable(plan) do
-    bad =
+    conflicts =
       for {name, %{direct: true, readers: readers}} <- plan.streams,
           part <- readers,
           plan.parts[part].rule.deterministic,
           Enum.any?(outgoing_streams(plan, part), &(not &1.direct)),
           do: {name, part}
 
-    case bad do
+    case conflicts do
       [] ->
         :ok
 
@@ -90,28 +91,30 @@ defmodule Situ.Cluster.Plan do
 
   # If a part waits, through other parts, for its own outputs, its sources become a separate part. A pipeline ends only
   # when all of its sources have ended, and an inlet that returns the pipeline's own outputs counts as a source.
-  defp split_sources(graph, of) do
-    next = edges_between(graph, of)
+  defp split_sources(graph, part_of) do
+    successors = edges_between(graph, part_of)
 
-    Map.new(of, fn {id, part} ->
-      alone? = graph.vertices[id].inputs == [] and reaches_part?(next, part, part, MapSet.new())
-      {id, if(alone?, do: part <> @sources, else: part)}
+    Map.new(part_of, fn {id, part} ->
+      separate? =
+        graph.vertices[id].inputs == [] and reaches_part?(successors, part, part, MapSet.new())
+
+      {id, if(separate?, do: part <> @sources, else: part)}
     end)
   end
 
-  defp edges_between(graph, of) do
+  defp edges_between(graph, part_of) do
     pairs =
       for {_, %{from: {from, _}, to: {to, _}}} <- graph.edges,
-          of[from] != of[to],
-          do: {of[from], of[to]}
+          part_of[from] != part_of[to],
+          do: {part_of[from], part_of[to]}
 
     pairs |> Enum.uniq() |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
   end
 
-  defp reaches_part?(next, from, goal, seen) do
-    Enum.any?(Map.get(next, from, []), fn part ->
-      part == goal or
-        (part not in seen and reaches_part?(next, part, goal, MapSet.put(seen, from)))
+  defp reaches_part?(successors, from, target, seen) do
+    Enum.any?(Map.get(successors, from, []), fn part ->
+      part == target or
+        (part not in seen and reaches_part?(successors, part, target, MapSet.put(seen, from)))
     end)
   end
 
@@ -140,8 +143,8 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  defp check_not_empty(names, of) do
-    parts = Map.values(of)
+  defp check_not_empty(names, part_of) do
+    parts = Map.values(part_of)
 
     case Enum.find(names, &(&1 not in parts)) do
       nil ->
@@ -158,19 +161,19 @@ defmodule Situ.Cluster.Plan do
   end
 
   defp resolve_ports(names, graph) do
-    known = Graph.stream_names(graph)
+    ports = Graph.stream_names(graph)
 
-    case Enum.find(names, &(not is_map_key(known, &1))) do
-      nil -> {:ok, Enum.map(names, &known[&1])}
-      name -> {:error, Graph.unknown_stream(name, Map.keys(known))}
+    case Enum.find(names, &(not is_map_key(ports, &1))) do
+      nil -> {:ok, Enum.map(names, &ports[&1])}
+      name -> {:error, Graph.unknown_stream(name, Map.keys(ports))}
     end
   end
 
-  defp build_parts(of, deployment) do
+  defp build_parts(part_of, deployment) do
     rules = Map.new(deployment.rules, fn {path, rule} -> {part_name(path), rule} end)
     default = %{on: [], only: false, deterministic: false}
 
-    of
+    part_of
     |> Enum.group_by(&elem(&1, 1), &elem(&1, 0))
     |> Map.new(fn {name, ids} ->
       rule = Map.get(rules, String.replace_suffix(name, @sources, ""), default)
@@ -181,13 +184,14 @@ defmodule Situ.Cluster.Plan do
   defp part_name(:rest), do: @rest
   defp part_name(path), do: path
 
-  defp build_streams(graph, of, published, direct) do
-    crossing =
-      for {_, %{from: {from, output}, to: {to, _}} = edge} <- graph.edges, of[from] != of[to] do
-        {{from, output}, {of[to], edge.policy}}
+  defp build_streams(graph, part_of, published, direct) do
+    cross_edges =
+      for {_, %{from: {from, output}, to: {to, _}} = edge} <- graph.edges,
+          part_of[from] != part_of[to] do
+        {{from, output}, {part_of[to], edge.policy}}
       end
 
-    readers = Enum.group_by(crossing, &elem(&1, 0), &elem(&1, 1))
+    readers = Enum.group_by(cross_edges, &elem(&1, 0), &elem(&1, 1))
 
     for port <- Enum.uniq(Map.keys(readers) ++ published), into: %{} do
       {id, output} = port
@@ -201,7 +205,7 @@ defmodule Situ.Cluster.Plan do
        %{
          name: name,
          from: port,
-         part: of[id],
+         part: part_of[id],
          readers: edges |> Enum.map(&elem(&1, 0)) |> Enum.uniq() |> Enum.sort(),
          direct: direct?,
          policies: if(direct?, do: lossy_policies(edges), else: %{})

@@ -28,7 +28,7 @@ defmodule Situ.Cluster.Publisher do
   @flush_ms 5
   @trim_ms 1_000
   # While components wait to publish, this is how often the publisher checks whether they must still wait.
-  @look_ms 20
+  @check_ms 20
   # For this time after its start, a part waits for its readers, so that they receive its first messages directly from
   # it. The messages of a direct stream are not available anywhere else.
   @join_ms 1_000
@@ -39,20 +39,20 @@ defmodule Situ.Cluster.Publisher do
     :part,
     :epoch,
     :mode,
-    :scribe,
+    :writer,
     :memories,
     :runner,
     :retain,
-    :since,
+    :started_ms,
     streams: %{},
-    parts: %{},
+    reader_parts: %{},
     readers: %Subscribers{},
-    cut: nil,
-    unshown: %{},
-    timer: nil,
-    looking: nil,
-    waiting: [],
-    told_full: false
+    outputs: nil,
+    hidden: %{},
+    flush_timer: nil,
+    check_timer: nil,
+    callers: [],
+    full_reported?: false
   ]
 
   @doc "Starts a publisher that takes over the part and publishes its outputs."
@@ -95,17 +95,17 @@ defmodule Situ.Cluster.Publisher do
       mode: args.mode,
       runner: args.runner,
       retain: args.retain,
-      since: System.monotonic_time(:millisecond),
-      parts: Map.new(args.streams, &{&1.name, &1.readers}),
+      started_ms: System.monotonic_time(:millisecond),
+      reader_parts: Map.new(args.streams, &{&1.name, &1.readers}),
       streams: Map.new(args.streams, &{&1.name, OutgoingStream.new(&1.name, args.deployment, &1)})
     }
 
     case Takeover.take_over_part(args, state.streams) do
       {:ok, streams, checkpoint} ->
         if state.retain != :all, do: Process.send_after(self(), :trim, @trim_ms)
-        {:ok, scribe} = Takeover.start_writer(args, streams, checkpoint)
+        {:ok, writer} = Takeover.start_writer(args, streams, checkpoint)
         memories = Checkpoint.saved_memories(checkpoint)
-        state = %{state | streams: streams, scribe: scribe, memories: memories}
+        state = %{state | streams: streams, writer: writer, memories: memories}
         {:ok, publish_pending(state, checkpoint)}
 
       {:error, error} ->
@@ -118,14 +118,14 @@ defmodule Situ.Cluster.Publisher do
 
   defp publish_pending(state, %{current: %{pending: pending}}) do
     Enum.reduce(pending, state, fn {name, {batches, mark}}, state ->
-      out = Map.fetch!(state.streams, name)
+      stream = Map.fetch!(state.streams, name)
 
-      if out.stored != mark and mark.last >= out.stored.last do
-        batches = for b <- batches, b = MessageBatch.take_after(b, out.stored.last), do: b
-        :ok = LogWriter.append_batches(state.scribe, name, batches, mark)
+      if stream.stored_mark != mark and mark.last >= stream.stored_mark.last do
+        batches = for b <- batches, b = MessageBatch.take_after(b, stream.stored_mark.last), do: b
+        :ok = LogWriter.append_batches(state.writer, name, batches, mark)
 
         state
-        |> put_stream(%{out | mark: mark, handed: mark, busy: true})
+        |> put_stream(%{stream | mark: mark, handed_mark: mark, writing?: true})
         |> defer_batches(name, batches)
       else
         state
@@ -137,20 +137,20 @@ defmodule Situ.Cluster.Publisher do
   defp defer_batches(state, _name, []), do: state
 
   defp defer_batches(state, name, batches),
-    do: %{state | unshown: Map.update(state.unshown, name, batches, &(&1 ++ batches))}
+    do: %{state | hidden: Map.update(state.hidden, name, batches, &(&1 ++ batches))}
 
   @impl true
   def handle_call(:resume, _from, state), do: {:reply, state.memories, state}
 
   def handle_call({:publish, name, messages}, from, state) do
-    {batch, out} = state.streams |> Map.fetch!(name) |> OutgoingStream.add_messages(messages)
-    state = put_stream(state, out)
+    {batch, stream} = state.streams |> Map.fetch!(name) |> OutgoingStream.add_messages(messages)
+    state = put_stream(state, stream)
 
     cond do
       batch == nil ->
         {:reply, :ok, state}
 
-      out.direct ->
+      stream.direct ->
         state |> offer_batch(name, batch) |> reply_or_wait(from, name)
 
       state.mode == :replay ->
@@ -166,25 +166,27 @@ defmodule Situ.Cluster.Publisher do
     {:reply, :ok, if(state.mode == :replay, do: flush_streams(state), else: state)}
   end
 
-  def handle_call(:cut, _from, state), do: {:reply, :ok, cut_outputs(state)}
+  def handle_call(:cut, _from, state), do: {:reply, :ok, collect_outputs(state)}
 
   def handle_call({:commit, memories}, from, state) do
-    state = if state.cut == nil or memories == :done, do: cut_outputs(state), else: state
-    :ok = LogWriter.commit_checkpoint(state.scribe, memories, state.cut, from)
+    state = if state.outputs == nil or memories == :done, do: collect_outputs(state), else: state
+    :ok = LogWriter.commit_checkpoint(state.writer, memories, state.outputs, from)
 
     state =
-      Enum.reduce(state.cut, state, fn {name, {batches, _}}, state ->
+      Enum.reduce(state.outputs, state, fn {name, {batches, _}}, state ->
         defer_batches(state, name, batches)
       end)
 
-    {:noreply, %{state | cut: nil}}
+    {:noreply, %{state | outputs: nil}}
   end
 
   def handle_call(:info, _from, state) do
     streams =
-      Map.new(state.streams, fn {name, out} ->
-        mark = if out.direct, do: out.mark, else: out.stored
-        {name, %{messages: mark.last, time: mark.time, closed: mark.closing, direct: out.direct}}
+      Map.new(state.streams, fn {name, stream} ->
+        mark = if stream.direct, do: stream.mark, else: stream.stored_mark
+
+        {name,
+         %{messages: mark.last, time: mark.time, closed: mark.closing, direct: stream.direct}}
       end)
 
     {:reply,
@@ -195,51 +197,53 @@ defmodule Situ.Cluster.Publisher do
   # Applies back-pressure: a component that publishes waits while the log or an active reader cannot keep up.
   defp reply_or_wait(state, from, name) do
     if must_wait?(state, name),
-      do: {:noreply, schedule_look(%{state | waiting: [{from, name} | state.waiting]})},
+      do: {:noreply, schedule_check(%{state | callers: [{from, name} | state.callers]})},
       else: {:reply, :ok, state}
   end
 
   defp must_wait?(state, name) do
-    out = state.streams[name]
+    stream = state.streams[name]
 
-    OutgoingStream.full?(out) or not Subscribers.keeping_up?(state.readers, out) or
-      (just_started?(state, out) and
-         not Subscribers.all_joined?(state.readers, out, awaited_parts(state, out)))
+    OutgoingStream.full?(stream) or not Subscribers.keeping_up?(state.readers, stream) or
+      (just_started?(state, stream) and
+         not Subscribers.all_joined?(state.readers, stream, awaited_parts(state, stream)))
   end
 
   # A part that may lose messages may also lose the first ones, so it is not awaited.
-  defp awaited_parts(state, out),
-    do: Enum.reject(state.parts[out.name], &is_map_key(out.policies, &1))
+  defp awaited_parts(state, stream),
+    do: Enum.reject(state.reader_parts[stream.name], &is_map_key(stream.policies, &1))
 
-  defp just_started?(state, out) do
-    age = System.monotonic_time(:millisecond) - state.since
-    age < if(out.direct, do: @join_direct_ms, else: @join_ms)
+  defp just_started?(state, stream) do
+    age = System.monotonic_time(:millisecond) - state.started_ms
+    age < if(stream.direct, do: @join_direct_ms, else: @join_ms)
   end
 
-  defp release_waiting(%{waiting: []} = state), do: state
+  defp release_waiting(%{callers: []} = state), do: state
 
   defp release_waiting(state) do
-    {hold, go} = Enum.split_with(state.waiting, fn {_, name} -> must_wait?(state, name) end)
-    for {from, _} <- go, do: GenServer.reply(from, :ok)
-    %{state | waiting: hold}
+    {blocked, released} =
+      Enum.split_with(state.callers, fn {_, name} -> must_wait?(state, name) end)
+
+    for {from, _} <- released, do: GenServer.reply(from, :ok)
+    %{state | callers: blocked}
   end
 
-  defp schedule_look(%{looking: nil} = state),
-    do: %{state | looking: Process.send_after(self(), :look, @look_ms)}
+  defp schedule_check(%{check_timer: nil} = state),
+    do: %{state | check_timer: Process.send_after(self(), :check, @check_ms)}
 
-  defp schedule_look(state), do: state
+  defp schedule_check(state), do: state
 
   # The outputs of a deterministic part are written after a short delay.
-  defp schedule_flush(%{timer: nil} = state),
-    do: %{state | timer: Process.send_after(self(), :flush, @flush_ms)}
+  defp schedule_flush(%{flush_timer: nil} = state),
+    do: %{state | flush_timer: Process.send_after(self(), :flush, @flush_ms)}
 
   defp schedule_flush(state), do: state
 
   # Requests a checkpoint before the regular one, because too many messages are pending.
-  defp request_checkpoint(%{told_full: false} = state) do
-    if Enum.any?(state.streams, fn {_, out} -> OutgoingStream.full?(out) end) do
+  defp request_checkpoint(%{full_reported?: false} = state) do
+    if Enum.any?(state.streams, fn {_, stream} -> OutgoingStream.full?(stream) end) do
       send(state.runner, :situ_full)
-      %{state | told_full: true}
+      %{state | full_reported?: true}
     else
       state
     end
@@ -248,61 +252,61 @@ defmodule Situ.Cluster.Publisher do
   defp request_checkpoint(state), do: state
 
   defp flush_streams(state) do
-    Enum.reduce(state.streams, %{state | timer: nil}, fn {name, out}, state ->
+    Enum.reduce(state.streams, %{state | flush_timer: nil}, fn {name, stream}, state ->
       # While a batch is being written, more batches accumulate for the next write.
-      if out.busy, do: state, else: hand_over(state, name)
+      if stream.writing?, do: state, else: hand_over(state, name)
     end)
   end
 
   defp hand_over(state, name) do
-    out = state.streams[name]
+    stream = state.streams[name]
 
-    if OutgoingStream.pending?(out) do
-      {{batches, mark}, out} = OutgoingStream.take_pending(out)
-      :ok = LogWriter.append_batches(state.scribe, name, batches, mark)
-      put_stream(state, out)
+    if OutgoingStream.pending?(stream) do
+      {{batches, mark}, stream} = OutgoingStream.take_pending(stream)
+      :ok = LogWriter.append_batches(state.writer, name, batches, mark)
+      put_stream(state, stream)
     else
       state
     end
   end
 
-  defp cut_outputs(%{mode: :replay} = state) do
+  defp collect_outputs(%{mode: :replay} = state) do
     state = state.streams |> Map.keys() |> Enum.reduce(state, &hand_over(&2, &1))
-    %{state | cut: %{}}
+    %{state | outputs: %{}}
   end
 
   # Messages left from an earlier cut are older, so they go first.
-  defp cut_outputs(%{mode: :outbox} = state) do
-    {cut, streams} =
-      for {name, out} <- state.streams,
-          OutgoingStream.pending?(out),
+  defp collect_outputs(%{mode: :outbox} = state) do
+    {outputs, streams} =
+      for {name, stream} <- state.streams,
+          OutgoingStream.pending?(stream),
           reduce: {%{}, state.streams} do
-        {cut, streams} ->
-          {taken, out} = OutgoingStream.take_pending(out)
-          {Map.put(cut, name, taken), Map.put(streams, name, out)}
+        {outputs, streams} ->
+          {pending, stream} = OutgoingStream.take_pending(stream)
+          {Map.put(outputs, name, pending), Map.put(streams, name, stream)}
       end
 
-    cut =
-      Map.merge(state.cut || %{}, cut, fn _, {older, _}, {batches, mark} ->
+    outputs =
+      Map.merge(state.outputs || %{}, outputs, fn _, {older, _}, {batches, mark} ->
         {older ++ batches, mark}
       end)
 
-    %{state | cut: cut, streams: streams, told_full: false}
+    %{state | outputs: outputs, streams: streams, full_reported?: false}
   end
 
   defp handle_stored(state, name, mark, seq) do
     state = put_stream(state, OutgoingStream.note_stored(state.streams[name], mark, seq))
-    {batches, unshown} = Map.pop(state.unshown, name, [])
-    {now, later} = Enum.split_while(batches, &(&1.last <= mark.last))
-    state = %{state | unshown: if(later == [], do: unshown, else: Map.put(unshown, name, later))}
-    Enum.reduce(now, state, &show_batch(&2, name, &1))
+    {batches, hidden} = Map.pop(state.hidden, name, [])
+    {visible, rest} = Enum.split_while(batches, &(&1.last <= mark.last))
+    state = %{state | hidden: if(rest == [], do: hidden, else: Map.put(hidden, name, rest))}
+    Enum.reduce(visible, state, &show_batch(&2, name, &1))
   end
 
   # The batch is kept only if some reader must not lose messages.
   defp offer_batch(state, name, batch) do
-    out = state.streams[name]
-    state = %{state | readers: Subscribers.offer_batch(state.readers, out, batch)}
-    all_lossy? = Enum.all?(state.parts[name], &is_map_key(out.policies, &1))
+    stream = state.streams[name]
+    state = %{state | readers: Subscribers.offer_batch(state.readers, stream, batch)}
+    all_lossy? = Enum.all?(state.reader_parts[name], &is_map_key(stream.policies, &1))
     if all_lossy?, do: state, else: show_batch(state, name, batch)
   end
 
@@ -364,15 +368,15 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_info(:flush, state), do: {:noreply, flush_streams(state)}
 
-  def handle_info(:look, state) do
-    state = release_waiting(%{state | looking: nil})
-    {:noreply, if(state.waiting == [], do: state, else: schedule_look(state))}
+  def handle_info(:check, state) do
+    state = release_waiting(%{state | check_timer: nil})
+    {:noreply, if(state.callers == [], do: state, else: schedule_check(state))}
   end
 
   def handle_info(:trim, state) do
-    for {_, out} <- state.streams,
-        not out.direct,
-        do: OutgoingStream.trim_log(out, state.log, state.retain)
+    for {_, stream} <- state.streams,
+        not stream.direct,
+        do: OutgoingStream.trim_log(stream, state.log, state.retain)
 
     Process.send_after(self(), :trim, @trim_ms)
     {:noreply, state}
@@ -380,7 +384,8 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp put_stream(state, out), do: %{state | streams: Map.put(state.streams, out.name, out)}
+  defp put_stream(state, stream),
+    do: %{state | streams: Map.put(state.streams, stream.name, stream)}
 
   @impl true
   def format_status(_reason, [_dictionary, state]),

@@ -1,23 +1,22 @@
 defmodule Situ.Cluster.Recordings do
-  @moduledoc """
-  Lists the recordings on a cluster's nodes, and opens them from any node.
-
-      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
-      Situ.Cluster.Recordings.list_all()
-      {:ok, address, opts} = Situ.Cluster.Recordings.fetch_address("situ-9302@10.0.0.2/lobby.0000")
-      {:ok, store} = Situ.Store.open(address, reader_opts: opts)
-
-  A node lists the stores in its folder. When a recording is requested, the node serves it over a link
-  (`Situ.Link.serve/2`) on the address in the node's name, with TLS if other machines can reach it. The token of the
-  link is random and is only sent over Erlang's distribution. Anybody who can call functions on the node can therefore
-  read its recordings.
-  """
+  @moduledoc false
+  # Lists the recordings on a cluster's nodes, and opens them from any node.
+  #
+  #     {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
+  #     Situ.Cluster.Recordings.list_all()
+  #     {:ok, address, opts} = Situ.Cluster.Recordings.fetch_address("situ-9302@10.0.0.2/lobby.0000")
+  #     {:ok, store} = Situ.Store.open(address, reader_opts: opts)
+  #
+  # A node lists the stores in its folder. When a recording is requested, the node serves it over
+  # a link (`Situ.Link.serve/2`) on the address in the node's name, with TLS if other machines can
+  # reach it. The token of the link is random and is only sent over Erlang's distribution. Anybody
+  # who can call functions on the node can therefore read its recordings.
   use GenServer
   alias Situ.{Error, Link, Store}
 
   # The limit applies to each node and keeps its newest recordings.
-  @most 200
-  @ask_ms 5_000
+  @max_recordings 200
+  @call_ms 5_000
   @serve_ms 15_000
 
   @typedoc "`id` is `NODE/NAME`; `live?` is true during the recording; `changed` is seconds since 1970."
@@ -35,7 +34,7 @@ defmodule Situ.Cluster.Recordings do
   @doc "Returns the recordings of all `nodes`, newest first on each node. Skips nodes that do not reply in time."
   @spec list_all([node()]) :: [entry()]
   def list_all(nodes \\ [node() | Node.list()]) do
-    answers = :erpc.multicall(nodes, __MODULE__, :here, [], @ask_ms)
+    answers = :erpc.multicall(nodes, __MODULE__, :here, [], @call_ms)
     for {:ok, entries} <- answers, entry <- entries, do: entry
   end
 
@@ -43,9 +42,9 @@ defmodule Situ.Cluster.Recordings do
   @spec here() :: [entry()]
   def here do
     with pid when is_pid(pid) <- Process.whereis(__MODULE__),
-         folder when is_binary(folder) <- GenServer.call(pid, :folder, @ask_ms) do
+         folder when is_binary(folder) <- GenServer.call(pid, :folder, @call_ms) do
       entries = for path <- Store.list(folder), do: describe_recording(path)
-      entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@most)
+      entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@max_recordings)
     else
       _ -> []
     end
@@ -92,22 +91,22 @@ defmodule Situ.Cluster.Recordings do
   @impl true
   def init(folder) do
     Process.flag(:trap_exit, true)
-    {:ok, %{folder: folder && Path.expand(folder), serving: %{}}}
+    {:ok, %{folder: folder && Path.expand(folder), servers: %{}}}
   end
 
   @impl true
   def handle_call(:folder, _from, state), do: {:reply, state.folder, state}
 
-  def handle_call({:serve, name}, _from, %{serving: serving} = state)
-      when is_map_key(serving, name) do
-    {_server, address, opts} = serving[name]
+  def handle_call({:serve, name}, _from, %{servers: servers} = state)
+      when is_map_key(servers, name) do
+    {_server, address, opts} = servers[name]
     {:reply, {:ok, address, opts}, state}
   end
 
   def handle_call({:serve, name}, _from, state) do
     case serve_recording(state.folder, name) do
       {:ok, server, address, opts} ->
-        {:reply, {:ok, address, opts}, put_in(state.serving[name], {server, address, opts})}
+        {:reply, {:ok, address, opts}, put_in(state.servers[name], {server, address, opts})}
 
       {:error, error} ->
         {:reply, {:error, error}, state}
@@ -116,8 +115,8 @@ defmodule Situ.Cluster.Recordings do
 
   @impl true
   def handle_info({:EXIT, server, _reason}, state) do
-    serving = Map.reject(state.serving, fn {_, {pid, _, _}} -> pid == server end)
-    {:noreply, %{state | serving: serving}}
+    servers = Map.reject(state.servers, fn {_, {pid, _, _}} -> pid == server end)
+    {:noreply, %{state | servers: servers}}
   end
 
   def handle_info(_other, state), do: {:noreply, state}

@@ -1,17 +1,17 @@
 defmodule Situ.Cluster.Retention do
-  @moduledoc """
-  Lists how much the log contains of each deployment, and deletes it when it is no longer needed.
-
-  The log of a deployment remains after its end, so that it can still be read. It takes disk space and, on a NATS
-  server, two open files per stream. Nothing is deleted automatically:
-
-      {:ok, log} = Situ.Cluster.Log.connect("nats://lab1:4222")
-      {:ok, kept} = Situ.Cluster.Retention.list(log)
-      {:ok, 12} = Situ.Cluster.Retention.delete(log, hd(kept))
-
-  `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
-  `bin/situ cluster kept` and `bin/situ cluster prune`.
-  """
+  @moduledoc false
+  # Lists how much the log contains of each deployment, and deletes it when it is no longer
+  # needed.
+  #
+  # The log of a deployment remains after its end, so that it can still be read. It takes disk
+  # space and, on a NATS server, two open files per stream. Nothing is deleted automatically:
+  #
+  #     {:ok, log} = Situ.Cluster.Log.connect("nats://lab1:4222")
+  #     {:ok, kept} = Situ.Cluster.Retention.list(log)
+  #     {:ok, 12} = Situ.Cluster.Retention.delete(log, hd(kept))
+  #
+  # `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster.
+  # On the command line, use `bin/situ cluster kept` and `bin/situ cluster prune`.
   alias Situ.Error
   alias Situ.Cluster.Log
   alias Situ.Cluster.Log.Entry
@@ -32,9 +32,9 @@ defmodule Situ.Cluster.Retention do
   @doc "Lists the deployments that have entries in the log, by name."
   @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def list(log) do
-    with {:ok, all} <- Log.list_subjects(log) do
-      groups = all |> Enum.group_by(&deployment_name(&1.subject)) |> Map.delete(nil)
-      {:ok, for({name, abouts} <- Enum.sort(groups), do: summarize_subjects(name, abouts))}
+    with {:ok, usages} <- Log.list_subjects(log) do
+      groups = usages |> Enum.group_by(&deployment_name(&1.subject)) |> Map.delete(nil)
+      {:ok, for({name, infos} <- Enum.sort(groups), do: summarize_subjects(name, infos))}
     end
   end
 
@@ -62,8 +62,8 @@ defmodule Situ.Cluster.Retention do
     end
   end
 
-  defp summarize_subjects(name, abouts) do
-    streams = for %{subject: {:stream, _}} = about <- abouts, do: about
+  defp summarize_subjects(name, infos) do
+    streams = for %{subject: {:stream, _}} = info <- infos, do: info
 
     %{
       deployment: name,
@@ -71,15 +71,15 @@ defmodule Situ.Cluster.Retention do
       entries: streams |> Enum.map(& &1.entries) |> Enum.sum(),
       bytes: streams |> Enum.map(&(&1.bytes || 0)) |> Enum.sum(),
       written:
-        abouts |> Enum.map(& &1.written) |> Enum.reject(&is_nil/1) |> Enum.max(fn -> nil end),
-      subjects: Enum.map(abouts, & &1.subject)
+        infos |> Enum.map(& &1.written) |> Enum.reject(&is_nil/1) |> Enum.max(fn -> nil end),
+      subjects: Enum.map(infos, & &1.subject)
     }
   end
 
   # Returns the numbers of the leases, and the longest duration of a lease (ms). The numbers change while any node
   # runs a part of the deployment or serves its streams, since the owner writes a lease every quarter of its duration.
-  defp read_leases(log, kept) do
-    keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
+  defp read_leases(log, usage) do
+    keys = for {:key, "lease." <> _} = subject <- usage.subjects, do: subject
 
     Enum.reduce_while(keys, {:ok, %{}, 0}, fn key, {:ok, seqs, longest} ->
       case Log.fetch_last(log, key) do
@@ -95,8 +95,9 @@ defmodule Situ.Cluster.Retention do
 
   @doc "Finds a deployment by its name."
   @spec fetch_by_name([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
-  def fetch_by_name(all, name) do
-    case {Enum.find(all, &(&1.deployment == name)), Enum.map_join(all, ", ", & &1.deployment)} do
+  def fetch_by_name(usages, name) do
+    case {Enum.find(usages, &(&1.deployment == name)),
+          Enum.map_join(usages, ", ", & &1.deployment)} do
       {nil, ""} ->
         {:error,
          Error.new(
@@ -110,8 +111,8 @@ defmodule Situ.Cluster.Retention do
            fix: "choose from: " <> names
          )}
 
-      {kept, _} ->
-        {:ok, kept}
+      {usage, _} ->
+        {:ok, usage}
     end
   end
 
@@ -119,10 +120,10 @@ defmodule Situ.Cluster.Retention do
   @spec prune(Log.t(), String.t(), non_neg_integer()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(log, name, wait) do
-    with {:ok, all} <- list(log),
-         {:ok, kept} <- fetch_by_name(all, name),
-         :ok <- check_unused(log, kept, wait),
-         do: delete(log, kept)
+    with {:ok, usages} <- list(log),
+         {:ok, usage} <- fetch_by_name(usages, name),
+         :ok <- check_unused(log, usage, wait),
+         do: delete(log, usage)
   end
 
   @doc """
@@ -130,8 +131,8 @@ defmodule Situ.Cluster.Retention do
   first, so that an interrupted deletion is listed again.
   """
   @spec delete(Log.t(), t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
-  def delete(log, kept) do
-    kept.subjects
+  def delete(log, usage) do
+    usage.subjects
     |> Enum.sort(:desc)
     |> Enum.reduce_while({:ok, 0}, fn subject, {:ok, n} ->
       case Log.delete(log, subject) do
@@ -146,13 +147,13 @@ defmodule Situ.Cluster.Retention do
   twice, `wait` ms apart, or half of the longest lease if that is longer.
   """
   @spec check_unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
-  def check_unused(log, kept, wait) do
-    with {:ok, before, longest} <- read_leases(log, kept),
+  def check_unused(log, usage, wait) do
+    with {:ok, before, longest} <- read_leases(log, usage),
          :ok <- wait_ms(max(wait, min(div(longest, 2), @longest_ms))),
-         {:ok, ^before, _} <- read_leases(log, kept) do
+         {:ok, ^before, _} <- read_leases(log, usage) do
       :ok
     else
-      {:ok, _changed, _} -> {:error, in_use_error(kept.deployment)}
+      {:ok, _changed, _} -> {:error, in_use_error(usage.deployment)}
       {:error, error} -> {:error, error}
     end
   end

@@ -59,13 +59,13 @@ defmodule Situ.Cluster.Runner do
   `mover`, the level applies only while that process is alive, and the previous one is then restored.
   """
   @spec release_part(pid(), non_neg_integer(), pid() | nil) :: :ok
-  def release_part(runner, away, mover \\ nil),
-    do: GenServer.call(runner, {:release, away, mover}, :infinity)
+  def release_part(runner, demotion, mover \\ nil),
+    do: GenServer.call(runner, {:release, demotion, mover}, :infinity)
 
   @doc "Sets the demotion level of this node for the part. A part that is already running here stays here."
   @spec set_demotion(pid(), non_neg_integer(), pid() | nil) :: :ok
-  def set_demotion(runner, away, mover \\ nil),
-    do: GenServer.call(runner, {:stand, away, mover}, :infinity)
+  def set_demotion(runner, demotion, mover \\ nil),
+    do: GenServer.call(runner, {:stand, demotion, mover}, :infinity)
 
   @doc "Ends a runner permanently: its supervisor does not restart it."
   @spec dismiss(pid()) :: :ok
@@ -86,34 +86,34 @@ defmodule Situ.Cluster.Runner do
     state = struct!(__MODULE__, Map.put(args, :standby, standby))
     # The supervisor may have restarted this runner, so the agent needs the new process.
     Member.announce_runner(state.agent, {state.deployment.name, state.part}, self())
-    send(self(), :look)
+    send(self(), :check)
     {:ok, state}
   end
 
   # The following functions handle the standby phase.
 
   @impl true
-  def handle_info(:look, %{phase: :standby, standby: standby} = state) do
+  def handle_info(:check, %{phase: :standby, standby: standby} = state) do
     with rank when rank != nil <- Member.own_rank(part_rule(state), state.part),
-         {:ok, look} <- Lease.read_lease(state.log, log_key(state, "lease")),
-         {:take, standby} <- Standby.judge_look(standby, look, rank),
-         {:ok, epoch} <- take_lease(state, look) do
-      log_takeover(state, elem(look, 1))
+         {:ok, reading} <- Lease.read_lease(state.log, log_key(state, "lease")),
+         {:take, standby} <- Standby.judge_reading(standby, reading, rank),
+         {:ok, epoch} <- take_lease(state, reading) do
+      log_takeover(state, elem(reading, 1))
       {:noreply, start_owning(%{state | standby: standby, epoch: epoch})}
     else
-      {:wait, standby} -> {:noreply, %{state | standby: Standby.look_again(standby)}}
-      _ -> {:noreply, %{state | standby: Standby.look_again(standby)}}
+      {:wait, standby} -> {:noreply, %{state | standby: Standby.schedule_next_check(standby)}}
+      _ -> {:noreply, %{state | standby: Standby.schedule_next_check(standby)}}
     end
   end
 
-  def handle_info(:look, state), do: {:noreply, state}
+  def handle_info(:check, state), do: {:noreply, state}
 
   # The owner has renewed its lease.
   def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
     do: {:noreply, %{state | standby: Standby.note_renewal(state.standby, seq, owner)}}
 
   def handle_info({:situ_lease, :free, _owner}, %{phase: :standby} = state),
-    do: {:noreply, %{state | standby: Standby.look_in(state.standby, 0)}}
+    do: {:noreply, %{state | standby: Standby.schedule_check(state.standby, 0)}}
 
   def handle_info(:checkpoint, %{phase: :running} = state) do
     Process.send_after(self(), :checkpoint, div(state.deployment.checkpoint, 1_000_000))
@@ -167,7 +167,7 @@ defmodule Situ.Cluster.Runner do
        phase: state.phase,
        epoch: state.epoch,
        owner: owner_name(state),
-       away: state.standby.away,
+       away: state.standby.demotion,
        error: state.error,
        checkpoints: state.checkpoints,
        publisher: PartProcesses.publisher_info(state.publisher),
@@ -175,24 +175,24 @@ defmodule Situ.Cluster.Runner do
      }, state}
   end
 
-  def handle_call({:release, away, mover}, _from, %{phase: phase} = state)
+  def handle_call({:release, demotion, mover}, _from, %{phase: phase} = state)
       when phase in [:running, :done] do
     state = if phase == :running, do: take_checkpoint(state), else: state
-    {:reply, :ok, let_go(put_demotion(state, away, mover))}
+    {:reply, :ok, release_and_wait(put_demotion(state, demotion, mover))}
   end
 
-  def handle_call({what, away, mover}, _from, state) when what in [:release, :stand],
-    do: {:reply, :ok, put_demotion(state, away, mover)}
+  def handle_call({kind, demotion, mover}, _from, state) when kind in [:release, :stand],
+    do: {:reply, :ok, put_demotion(state, demotion, mover)}
 
   # The code is new, but the plan is the same. A part that does not start with the new code goes to standby, and is
   # taken again once the old code is back.
   def handle_call(:restart, _from, %{phase: :running} = state) do
-    state = state |> take_checkpoint() |> let_go()
+    state = state |> take_checkpoint() |> release_and_wait()
 
-    with {:ok, look} <- Lease.read_lease(state.log, log_key(state, "lease")),
-         {:ok, epoch} <- take_lease(state, look) do
+    with {:ok, reading} <- Lease.read_lease(state.log, log_key(state, "lease")),
+         {:ok, epoch} <- take_lease(state, reading) do
       case start_owning(%{state | epoch: epoch}, &{:refused, &1, &2}) do
-        {:refused, state, error} -> {:reply, {:error, error}, let_go(state)}
+        {:refused, state, error} -> {:reply, {:error, error}, release_and_wait(state)}
         state -> {:reply, :ok, state}
       end
     else
@@ -203,15 +203,15 @@ defmodule Situ.Cluster.Runner do
 
   def handle_call(:restart, _from, state), do: {:reply, :ok, state}
 
-  defp put_demotion(state, away, mover),
-    do: %{state | standby: Standby.set_demotion(state.standby, away, mover)}
+  defp put_demotion(state, demotion, mover),
+    do: %{state | standby: Standby.set_demotion(state.standby, demotion, mover)}
 
   # A component fails when it can no longer publish; the exit of the publisher gives the reason.
   defp publisher_ended?(%{publisher: publisher}), do: not Process.alive?(publisher)
 
   # The following functions handle the phase in which this node has the lease.
 
-  defp start_owning(state, failed \\ &fail_part/2) do
+  defp start_owning(state, on_failure \\ &fail_part/2) do
     args = %{
       log: state.log,
       deployment: state.deployment.name,
@@ -235,7 +235,7 @@ defmodule Situ.Cluster.Runner do
           publisher
         )
 
-        run_part(state, Publisher.saved_memories(publisher), failed)
+        run_part(state, Publisher.saved_memories(publisher), on_failure)
 
       {:error, reason} ->
         handle_refusal(state, reason)
@@ -254,8 +254,8 @@ defmodule Situ.Cluster.Runner do
     %{state | epoch: nil, standby: Standby.resume_after_loss(state.standby)}
   end
 
-  defp take_lease(state, look),
-    do: Lease.acquire(state.log, log_key(state, "lease"), elem(look, 0), state.standby.ms)
+  defp take_lease(state, reading),
+    do: Lease.acquire(state.log, log_key(state, "lease"), elem(reading, 0), state.standby.ms)
 
   defp log_takeover(state, owner) do
     if owner not in [nil, "", Atom.to_string(node())],
@@ -268,7 +268,7 @@ defmodule Situ.Cluster.Runner do
     %{state | phase: :done}
   end
 
-  defp run_part(state, memories, failed) do
+  defp run_part(state, memories, on_failure) do
     case PartStarter.start_part(state.deployment, state.plan, state.part, %{
            agent: state.agent,
            publisher: state.publisher,
@@ -280,7 +280,7 @@ defmodule Situ.Cluster.Runner do
         %{state | phase: :running, pipeline: pipeline, monitor: monitor}
 
       {:error, error} ->
-        failed.(state, error)
+        on_failure.(state, error)
     end
   end
 
@@ -288,11 +288,11 @@ defmodule Situ.Cluster.Runner do
   defp take_checkpoint(%{checkpoints: %{possible?: false}} = state), do: state
 
   defp take_checkpoint(state) do
-    case Pipeline.checkpoint(state.pipeline, &cut_outputs(state, &1)) do
+    case Pipeline.checkpoint(state.pipeline, &begin_checkpoint(state, &1)) do
       {:ok, memories} ->
         :ok = Publisher.commit_checkpoint(state.publisher, memories)
-        taken = state.checkpoints.taken + 1
-        %{state | checkpoints: %{state.checkpoints | taken: taken, refused: nil}}
+        count = state.checkpoints.taken + 1
+        %{state | checkpoints: %{state.checkpoints | taken: count, refused: nil}}
 
       {:error, %Error{code: :no_snapshot} = error} ->
         if publish_mode(state) == :outbox and Plan.outgoing_streams(state.plan, state.part) != [],
@@ -307,7 +307,7 @@ defmodule Situ.Cluster.Runner do
     :exit, _ -> state
   end
 
-  defp cut_outputs(state, memories) do
+  defp begin_checkpoint(state, memories) do
     :ok = Publisher.begin_checkpoint(state.publisher)
     memories
   end
@@ -358,7 +358,7 @@ defmodule Situ.Cluster.Runner do
     %{PartProcesses.kill_all(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
-  defp let_go(state),
+  defp release_and_wait(state),
     do: %{PartProcesses.release_part(state) | standby: Standby.restart_wait(state.standby)}
 
   defp part_rule(state), do: state.plan.parts[state.part].rule
@@ -372,8 +372,8 @@ defmodule Situ.Cluster.Runner do
 
   @doc "Returns the log key of one kind of entry (`what`) of a part."
   @spec log_key(Deployment.t(), String.t(), String.t()) :: String.t()
-  def log_key(deployment, part, what), do: "#{what}.#{deployment.name}.#{part}"
-  defp log_key(state, what), do: log_key(state.deployment, state.part, what)
+  def log_key(deployment, part, kind), do: "#{kind}.#{deployment.name}.#{part}"
+  defp log_key(state, kind), do: log_key(state.deployment, state.part, kind)
 
   @impl true
   def terminate(_reason, state) do

@@ -9,11 +9,12 @@ defmodule Situ.Cluster.Runners do
   @doc "Returns the state of each runner, or `%{}` for a runner that does not reply within `timeout` ms."
   @spec collect_infos([pid()], timeout()) :: [map()]
   def collect_infos(runners, timeout) do
-    asked = for runner <- runners, do: :gen_server.send_request(runner, :info)
-    till = monotonic_ms() + timeout
+    requests = for runner <- runners, do: :gen_server.send_request(runner, :info)
+    deadline = monotonic_ms() + timeout
 
-    for request <- asked,
-        do: info_or_empty(:gen_server.receive_response(request, max(till - monotonic_ms(), 0)))
+    for request <- requests,
+        do:
+          info_or_empty(:gen_server.receive_response(request, max(deadline - monotonic_ms(), 0)))
   end
 
   defp info_or_empty({:reply, info}), do: info

@@ -54,11 +54,11 @@ defmodule Situ.Cluster.SealedLog do
          do: check_all(conn, subject, entries, [])
   end
 
-  defp check_all(_conn, _subject, [], checked), do: {:ok, Enum.reverse(checked)}
+  defp check_all(_conn, _subject, [], verified), do: {:ok, Enum.reverse(verified)}
 
-  defp check_all(conn, subject, [entry | rest], checked) do
+  defp check_all(conn, subject, [entry | rest], verified) do
     with {:ok, entry} <- check_entry(conn, subject, entry),
-         do: check_all(conn, subject, rest, [entry | checked])
+         do: check_all(conn, subject, rest, [entry | verified])
   end
 
   defp check_entry(conn, subject, entry) do

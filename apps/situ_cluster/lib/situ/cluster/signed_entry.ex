@@ -139,8 +139,8 @@ defmodule Situ.Cluster.SignedEntry do
   defp compute_mac(key, nonce, context, data) do
     state = :crypto.mac_init(:poly1305, :crypto.mac(:hmac, :sha256, key, nonce))
     state = :crypto.mac_update(state, [<<byte_size(context)::64>>, context])
-    pieces = :erlang.iolist_to_iovec(data)
-    :crypto.mac_final(Enum.reduce(pieces, state, &:crypto.mac_update(&2, &1)))
+    chunks = :erlang.iolist_to_iovec(data)
+    :crypto.mac_final(Enum.reduce(chunks, state, &:crypto.mac_update(&2, &1)))
   end
 
   # The key is computed each time, so that no process state and no crash report contains it.

@@ -4,16 +4,16 @@ defmodule Situ.Cluster.SnapshotMerge do
   # the connection from an outlet to an inlet becomes an edge, as within a pipeline. Pure.
   alias Situ.Diagnostics.Snapshot
 
-  @apart 1_000_000
+  @id_range 1_000_000
 
   @spec merge_parts(String.t(), [{part :: String.t(), node(), Snapshot.t()}]) :: Snapshot.t()
   def merge_parts(name, parts) do
     shifted =
-      for {{_, node, s}, i} <- Enum.with_index(parts), do: {node, shift_ids(s, i * @apart)}
+      for {{_, node, s}, i} <- Enum.with_index(parts), do: {node, shift_ids(s, i * @id_range)}
 
     nodes = for {node, s} <- shifted, n <- s.nodes, do: {node, n}
 
-    makers =
+    producers =
       for {_, n} <- nodes,
           not link_node?(n),
           %{stream: s} <- n.outputs,
@@ -25,7 +25,10 @@ defmodule Situ.Cluster.SnapshotMerge do
     outlets = for {_, %{path: "Outlet " <> _, id: id}} <- nodes, into: MapSet.new(), do: id
 
     edges =
-      for {_, s} <- shifted, e <- s.edges, e.to not in outlets, do: join_edge(e, inlets, makers)
+      for {_, s} <- shifted,
+          e <- s.edges,
+          e.to not in outlets,
+          do: join_edge(e, inlets, producers)
 
     snapshots = for {_, s} <- shifted, do: s
 
@@ -42,12 +45,20 @@ defmodule Situ.Cluster.SnapshotMerge do
     }
   end
 
-  defp shift_ids(%Snapshot{} = s, by) do
+  defp shift_ids(%Snapshot{} = s, offset) do
     %{
       s
-      | nodes: for(n <- s.nodes, do: %{n | id: n.id + by, process: n.process && n.process + by}),
-        edges: for(e <- s.edges, do: %{e | id: e.id + by, from: e.from + by, to: e.to + by}),
-        processes: for(p <- s.processes, do: %{p | number: p.number + by})
+      | nodes:
+          for(
+            n <- s.nodes,
+            do: %{n | id: n.id + offset, process: n.process && n.process + offset}
+          ),
+        edges:
+          for(
+            e <- s.edges,
+            do: %{e | id: e.id + offset, from: e.from + offset, to: e.to + offset}
+          ),
+        processes: for(p <- s.processes, do: %{p | number: p.number + offset})
     }
   end
 
@@ -56,10 +67,10 @@ defmodule Situ.Cluster.SnapshotMerge do
   defp link_node?(_node), do: false
 
   # The part that produces the stream may not be running on any node at the moment.
-  defp join_edge(edge, inlets, makers) do
-    with {:ok, stream} <- Map.fetch(inlets, edge.from), %{} = maker <- makers[stream] do
-      output = Enum.find(maker.outputs, &(&1.stream == stream)).name
-      %{edge | from: maker.id, from_output: output, kind: :process}
+  defp join_edge(edge, inlets, producers) do
+    with {:ok, stream} <- Map.fetch(inlets, edge.from), %{} = producer <- producers[stream] do
+      output = Enum.find(producer.outputs, &(&1.stream == stream)).name
+      %{edge | from: producer.id, from_output: output, kind: :process}
     else
       :error -> edge
       nil -> nil

@@ -7,45 +7,49 @@ defmodule Situ.Cluster.Standby do
   alias Situ.Cluster.{Backoff, Lease}
 
   # A drained node waits as if this many nodes were preferred to it.
-  @behind 10
+  @demotion_weight 10
 
   @enforce_keys [:ms]
-  defstruct [:ms, :timer, :loan, lease: %Lease{}, backoff: %Backoff{}, away: 0]
+  defstruct [:ms, :timer, :previous, lease: %Lease{}, backoff: %Backoff{}, demotion: 0]
 
   @typedoc """
-  `ms`: the duration of the lease; `away`: the demotion level of the node; `loan`: the monitor of the process for whose
-  lifetime the level applies, and the level before that.
+  `ms`: the duration of the lease; `demotion`: the demotion level of the node; `previous`: the monitor of the process
+  for whose lifetime that level applies, and the level before that.
   """
   @type t :: %__MODULE__{
           ms: pos_integer(),
           timer: reference() | nil,
-          loan: {reference(), non_neg_integer()} | nil,
+          previous: {reference(), non_neg_integer()} | nil,
           lease: Lease.t(),
           backoff: Backoff.t(),
-          away: non_neg_integer()
+          demotion: non_neg_integer()
         }
 
   @spec new(Situ.Time.duration()) :: t()
   def new(lease_ns), do: %__MODULE__{ms: max(div(lease_ns, 1_000_000), 20)}
 
   @doc "Judges one look at the lease; `rank` nodes are preferred to this one."
-  @spec judge_look(t(), Lease.look(), non_neg_integer()) :: {:take | :wait, t()}
-  def judge_look(%__MODULE__{ms: ms} = standby, look, rank) do
+  @spec judge_reading(t(), Lease.reading(), non_neg_integer()) :: {:take | :wait, t()}
+  def judge_reading(%__MODULE__{ms: ms} = standby, reading, rank) do
     # A drained node lets the others go first for some seconds, but takes a part that no other node takes.
-    before = rank + @behind * standby.away
-    wait = before * div(ms, 2) + Backoff.wait_ms(standby.backoff, monotonic_ms(), ms)
+    precedence = rank + @demotion_weight * standby.demotion
+    wait = precedence * div(ms, 2) + Backoff.wait_ms(standby.backoff, monotonic_ms(), ms)
 
-    {answer, lease} =
-      Lease.judge_look(standby.lease, look, %{lease: ms, poll: poll_interval(ms), wait: wait})
+    {decision, lease} =
+      Lease.judge_reading(standby.lease, reading, %{
+        lease: ms,
+        poll: poll_interval(ms),
+        wait: wait
+      })
 
-    {answer, %{standby | lease: lease}}
+    {decision, %{standby | lease: lease}}
   end
 
   @doc "Records that the owner has written its lease under this number."
   @spec note_renewal(t(), pos_integer(), String.t()) :: t()
   def note_renewal(%__MODULE__{ms: ms} = standby, seq, owner),
     do:
-      look_in(
+      schedule_check(
         %{standby | lease: Lease.note_renewal(standby.lease, seq, owner, monotonic_ms())},
         div(ms, 2)
       )
@@ -54,7 +58,7 @@ defmodule Situ.Cluster.Standby do
   @spec note_node_down(t(), node()) :: t()
   def note_node_down(%__MODULE__{} = standby, node) do
     standby = %{standby | lease: Lease.note_node_down(standby.lease, node)}
-    if standby.lease.gone, do: look_in(standby, 0), else: standby
+    if standby.lease.owner_down?, do: schedule_check(standby, 0), else: standby
   end
 
   @doc "Starts waiting again after this node has lost the part."
@@ -64,38 +68,38 @@ defmodule Situ.Cluster.Standby do
 
   @doc "Starts waiting again after this node has released the part."
   @spec restart_wait(t()) :: t()
-  def restart_wait(%__MODULE__{} = standby), do: look_again(%{standby | lease: %Lease{}})
+  def restart_wait(%__MODULE__{} = standby), do: schedule_next_check(%{standby | lease: %Lease{}})
 
   @doc "Sends this process `:look` after a delay, which is longer if the log responds slowly."
-  @spec look_again(t()) :: t()
-  def look_again(%__MODULE__{ms: ms, lease: lease} = standby),
-    do: look_in(standby, max(poll_interval(ms), min(4 * lease.took, ms)))
+  @spec schedule_next_check(t()) :: t()
+  def schedule_next_check(%__MODULE__{ms: ms, lease: lease} = standby),
+    do: schedule_check(standby, max(poll_interval(ms), min(4 * lease.read_ms, ms)))
 
   @doc "Sends this process `:look` in `ms`, and cancels an earlier timer."
-  @spec look_in(t(), non_neg_integer()) :: t()
-  def look_in(%__MODULE__{timer: timer} = standby, ms) do
+  @spec schedule_check(t(), non_neg_integer()) :: t()
+  def schedule_check(%__MODULE__{timer: timer} = standby, ms) do
     _ = timer && Process.cancel_timer(timer)
-    %{standby | timer: Process.send_after(self(), :look, ms)}
+    %{standby | timer: Process.send_after(self(), :check, ms)}
   end
 
   @doc "Sets the demotion level `away`; with a process, only for the lifetime of that process."
   @spec set_demotion(t(), non_neg_integer(), pid() | nil) :: t()
-  def set_demotion(%__MODULE__{loan: {ref, before}} = standby, away, mover) do
+  def set_demotion(%__MODULE__{previous: {ref, before}} = standby, demotion, mover) do
     Process.demonitor(ref, [:flush])
-    set_demotion(%{standby | loan: nil, away: before}, away, mover)
+    set_demotion(%{standby | previous: nil, demotion: before}, demotion, mover)
   end
 
   # A node to which the part is moved does not wait because of earlier losses.
-  def set_demotion(standby, 0, nil), do: %{standby | away: 0, backoff: %Backoff{}}
-  def set_demotion(standby, away, nil), do: %{standby | away: away}
+  def set_demotion(standby, 0, nil), do: %{standby | demotion: 0, backoff: %Backoff{}}
+  def set_demotion(standby, demotion, nil), do: %{standby | demotion: demotion}
 
-  def set_demotion(standby, away, mover),
-    do: %{standby | loan: {Process.monitor(mover), standby.away}, away: away}
+  def set_demotion(standby, demotion, mover),
+    do: %{standby | previous: {Process.monitor(mover), standby.demotion}, demotion: demotion}
 
   @doc "Restores the previous demotion level if `ref` is the monitor of the process for which it was set."
   @spec restore_demotion(t(), reference()) :: t()
-  def restore_demotion(%__MODULE__{loan: {ref, before}} = standby, ref),
-    do: %{standby | loan: nil, away: before}
+  def restore_demotion(%__MODULE__{previous: {ref, before}} = standby, ref),
+    do: %{standby | previous: nil, demotion: before}
 
   def restore_demotion(standby, _ref), do: standby
 

@@ -15,7 +15,7 @@ defmodule Situ.Cluster.Takeover do
           {:ok, streams(), Checkpoint.t()} | {:error, Error.t()}
   def take_over_part(args, streams) do
     with {:ok, streams} <- fence_streams(args, streams, Map.keys(streams), 1),
-         marks = Map.new(streams, fn {name, out} -> {name, out.stored.last} end),
+         marks = Map.new(streams, fn {name, stream} -> {name, stream.stored_mark.last} end),
          key = "ckpt.#{args.deployment}.#{args.part}",
          {:ok, checkpoint} <- Checkpoint.take_over(args.log, key, args.epoch, marks),
          do: {:ok, streams, checkpoint}
@@ -25,22 +25,27 @@ defmodule Situ.Cluster.Takeover do
   defp fence_streams(_args, streams, [], _n), do: {:ok, streams}
 
   defp fence_streams(args, streams, [name | rest], n) do
-    out = streams[name]
+    stream = streams[name]
 
-    with {:ok, last} <- Log.fetch_last(args.log, out.subject) do
+    with {:ok, last} <- Log.fetch_last(args.log, stream.subject) do
       mark = StreamEntry.entry_mark(last)
       seq = if last, do: last.seq, else: 0
       op = "#{args.part}.#{name}.#{args.epoch}.f#{n}"
 
-      case Log.append(args.log, out.subject, seq, StreamEntry.build_fence(mark, args.epoch, op)) do
+      case Log.append(
+             args.log,
+             stream.subject,
+             seq,
+             StreamEntry.build_fence(mark, args.epoch, op)
+           ) do
         {:ok, seq} ->
-          out = OutgoingStream.resume_at(%{out | seq: seq}, mark)
-          fence_streams(args, %{streams | name => out}, rest, n + 1)
+          stream = OutgoingStream.resume_at(%{stream | seq: seq}, mark)
+          fence_streams(args, %{streams | name => stream}, rest, n + 1)
 
         # The previous owner has written an entry in the meantime. With an older epoch, fencing is simply repeated.
         {:refused, last} ->
           if Entry.head_integer(last, "Epoch", 0) > args.epoch,
-            do: {:error, LogWriter.refused_error(out.subject)},
+            do: {:error, LogWriter.refused_error(stream.subject)},
             else: fence_streams(args, streams, [name | rest], n + 1)
 
         {:error, error} ->
@@ -58,8 +63,8 @@ defmodule Situ.Cluster.Takeover do
       epoch: args.epoch,
       checkpoint: checkpoint,
       streams:
-        Map.new(streams, fn {name, out} ->
-          {name, %{subject: out.subject, seq: out.seq, mark: out.stored}}
+        Map.new(streams, fn {name, stream} ->
+          {name, %{subject: stream.subject, seq: stream.seq, mark: stream.stored_mark}}
         end)
     })
   end

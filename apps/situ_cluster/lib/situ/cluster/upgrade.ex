@@ -1,18 +1,19 @@
 defmodule Situ.Cluster.Upgrade do
-  @moduledoc """
-  Loads new code in a cluster while its pipelines are running. One node after the other loads the code and restarts its
-  parts from a checkpoint taken for this purpose. As when a part moves, no message is lost or repeated.
-
-      Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
-      Situ.Cluster.upgrade([MyLips])          # the code of this node
-
-  The new components must accept the saved states of the old ones, and the graph must be split into the same parts and
-  streams. If a node cannot meet these conditions, it and all previous nodes return to the old code, and the error
-  gives the reason. Deploy a pipeline with another graph under another name.
-
-  An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart it, and continue with
-  the next node.
-  """
+  @moduledoc false
+  # Loads new code in a cluster while its pipelines are running. One node after the other loads
+  # the code and restarts its parts from a checkpoint taken for this purpose. As when a part
+  # moves, no message is lost or repeated.
+  #
+  #     Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
+  #     Situ.Cluster.upgrade([MyLips])          # the code of this node
+  #
+  # The new components must accept the saved states of the old ones, and the graph must be split
+  # into the same parts and streams. If a node cannot meet these conditions, it and all previous
+  # nodes return to the old code, and the error gives the reason. Deploy a pipeline with another
+  # graph under another name.
+  #
+  # An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart
+  # it, and continue with the next node.
   alias Situ.Cluster.{Agent, PartStarter, Runner}
   alias Situ.Error
 
@@ -48,15 +49,16 @@ defmodule Situ.Cluster.Upgrade do
     upgrade_rest(nodes, code, [])
   end
 
-  defp upgrade_rest([], _code, done), do: {:ok, for({node, _} <- Enum.reverse(done), do: node)}
+  defp upgrade_rest([], _code, upgraded),
+    do: {:ok, for({node, _} <- Enum.reverse(upgraded), do: node)}
 
-  defp upgrade_rest([node | rest], code, done) do
+  defp upgrade_rest([node | rest], code, upgraded) do
     case call_node(node, :take, [code]) do
-      {:ok, old} ->
-        upgrade_rest(rest, code, [{node, old} | done])
+      {:ok, previous} ->
+        upgrade_rest(rest, code, [{node, previous} | upgraded])
 
       {:error, error} ->
-        for {node, old} <- done, do: call_node(node, :take, [old])
+        for {node, previous} <- upgraded, do: call_node(node, :take, [previous])
 
         {:error,
          %{
@@ -79,16 +81,17 @@ defmodule Situ.Cluster.Upgrade do
   @doc false
   @spec take(code()) :: {:ok, code()} | {:error, Error.t()}
   def take(code) do
-    old = for {module, _} <- code, {^module, beam} <- [current_code(module)], do: {module, beam}
+    previous =
+      for {module, _} <- code, {^module, beam} <- [current_code(module)], do: {module, beam}
 
     with :ok <- load_modules(code),
          :ok <- same_plans(),
          :ok <- restart_parts() do
       remember_code(code)
-      {:ok, old}
+      {:ok, previous}
     else
       {:error, error} ->
-        _ = load_modules(old)
+        _ = load_modules(previous)
         _ = restart_parts()
         {:error, error}
     end

@@ -9,7 +9,7 @@ defmodule Situ.Cluster.LeaseTest do
   # Observes a lease with number `seq` at these times (ms); each observation takes no time.
   defp looks(lease, seqs_and_times, times \\ @times) do
     Enum.reduce(seqs_and_times, {:wait, lease}, fn {seq, now}, {_, lease} ->
-      Lease.judge_look(lease, {seq, "other@host", now, now}, times)
+      Lease.judge_reading(lease, {seq, "other@host", now, now}, times)
     end)
   end
 
@@ -19,7 +19,7 @@ defmodule Situ.Cluster.LeaseTest do
     seen = for now <- 0..20_000//100, do: {1 + div(now, 300), now}
 
     Enum.reduce(seen, %Lease{}, fn {seq, now}, lease ->
-      assert {:wait, lease} = Lease.judge_look(lease, {seq, "a", now, now}, @times)
+      assert {:wait, lease} = Lease.judge_reading(lease, {seq, "a", now, now}, @times)
       lease
     end)
   end
@@ -30,17 +30,17 @@ defmodule Situ.Cluster.LeaseTest do
   end
 
   test "an unowned lease is free immediately, but a less preferred node waits" do
-    assert {:take, _} = Lease.judge_look(%Lease{}, {0, nil, 5, 5}, @times)
-    assert {:wait, lease} = Lease.judge_look(%Lease{}, {0, nil, 5, 5}, %{@times | wait: 500})
+    assert {:take, _} = Lease.judge_reading(%Lease{}, {0, nil, 5, 5}, @times)
+    assert {:wait, lease} = Lease.judge_reading(%Lease{}, {0, nil, 5, 5}, %{@times | wait: 500})
     assert {:take, _} = looks(lease, [{0, 105}, {0, 305}, {0, 505}], %{@times | wait: 500})
   end
 
   test "a late or slow observation says nothing about the owner" do
     {:wait, lease} = looks(%Lease{}, every(0, 500, 7))
     # Two seconds later: this process itself was paused.
-    assert {:wait, lease} = Lease.judge_look(lease, {7, "a", 2_500, 2_500}, @times)
+    assert {:wait, lease} = Lease.judge_reading(lease, {7, "a", 2_500, 2_500}, @times)
     # The log was unavailable for two seconds.
-    assert {:wait, lease} = Lease.judge_look(lease, {7, "a", 2_600, 4_600}, @times)
+    assert {:wait, lease} = Lease.judge_reading(lease, {7, "a", 2_600, 4_600}, @times)
     assert {:wait, lease} = looks(lease, every(4_700, 5_500, 7))
     assert {:take, _} = looks(lease, [{7, 5_600}])
   end
@@ -50,7 +50,7 @@ defmodule Situ.Cluster.LeaseTest do
 
     {answer, took} =
       Enum.reduce_while(1..20, lease, fn i, lease ->
-        case Lease.judge_look(lease, {7, "a", i * 500, i * 500 + 300}, @times) do
+        case Lease.judge_reading(lease, {7, "a", i * 500, i * 500 + 300}, @times) do
           {:take, _} -> {:halt, {:take, i * 500 + 300}}
           {:wait, lease} -> {:cont, lease}
         end
@@ -74,7 +74,7 @@ defmodule Situ.Cluster.LeaseTest do
                                                            {lease, now, {seq, at}, fine?} ->
           now = now + ms
           {seq, at} = if change == 3, do: {seq + 1, now}, else: {seq, at}
-          {answer, lease} = Lease.judge_look(lease, {seq, "a", now, now}, @times)
+          {answer, lease} = Lease.judge_reading(lease, {seq, "a", now, now}, @times)
           {lease, now, {seq, at}, fine? and (answer == :wait or now - at >= 1_000)}
         end)
 

@@ -1,15 +1,15 @@
 defmodule Situ.Link.Certificate do
-  @moduledoc """
-  Creates self-issued TLS certificates for servers that were not given one. Browsers ask once whether to trust such a
-  certificate; link clients recognize it by its fingerprint.
-
-      {:ok, tls} = Situ.Link.Certificate.ensure_files("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
-      :ssl.listen(443, tls)
-
-  To trust the server, a program loads `authority.pem` from the same folder as a certificate authority. The key never
-  leaves the folder, and only its owner can read it. An existing certificate is reused if it names all of these hosts
-  and is valid for at least another week, so that browser exceptions remain valid.
-  """
+  @moduledoc false
+  # Creates self-issued TLS certificates for servers that were not given one. Browsers ask once
+  # whether to trust such a certificate; link clients recognize it by its fingerprint.
+  #
+  #     {:ok, tls} = Situ.Link.Certificate.ensure_files("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
+  #     :ssl.listen(443, tls)
+  #
+  # To trust the server, a program loads `authority.pem` from the same folder as a certificate
+  # authority. The key never leaves the folder, and only its owner can read it. An existing
+  # certificate is reused if it names all of these hosts and is valid for at least another week,
+  # so that browser exceptions remain valid.
   alias Situ.Error
   require Record
 
@@ -43,13 +43,13 @@ defmodule Situ.Link.Certificate do
     {:ok, name} = :inet.gethostname()
     {:ok, interfaces} = :inet.getifaddrs()
 
-    bound =
+    addresses =
       if ip in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}],
         do: for({_, options} <- interfaces, {:addr, address} <- options, do: address),
         else: [ip]
 
     folder = Path.join(:filename.basedir(:user_config, ~c"situ"), "tls")
-    hosts = ["localhost", to_string(name) | Enum.map(bound, &to_string(:inet.ntoa(&1)))]
+    hosts = ["localhost", to_string(name) | Enum.map(addresses, &to_string(:inet.ntoa(&1)))]
     ensure_files(folder, Enum.uniq(hosts))
   end
 
@@ -132,12 +132,13 @@ defmodule Situ.Link.Certificate do
     root = :public_key.pkix_test_root_cert(~c"authority", common)
     peer = common ++ [extensions: alternative_names(Keyword.get(opts, :hosts, []))]
     chain = %{root: root, intermediates: [], peer: peer}
-    made = :public_key.pkix_test_data(chain)
-    {kind, key} = made[:key]
+    test_data = :public_key.pkix_test_data(chain)
+    {kind, key} = test_data[:key]
     issuer = name <> ", authority"
 
     %{
-      certificate: encode_pem(:Certificate, rename_and_sign(made[:cert], name, issuer, root.key)),
+      certificate:
+        encode_pem(:Certificate, rename_and_sign(test_data[:cert], name, issuer, root.key)),
       key: encode_pem(kind, key),
       authority: encode_pem(:Certificate, rename_and_sign(root.cert, issuer, issuer, root.key))
     }
@@ -155,8 +156,8 @@ defmodule Situ.Link.Certificate do
     certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
     {:rdnSequence, sequence} = tbs(tbs, :subject)
     common = sequence |> List.flatten() |> Enum.find(&(elem(&1, 1) == @common_name))
-    named = fn name -> {:rdnSequence, [[put_elem(common, 2, {:utf8String, name})]]} end
-    :public_key.pkix_sign(tbs(tbs, subject: named.(subject), issuer: named.(issuer)), key)
+    rdn = fn name -> {:rdnSequence, [[put_elem(common, 2, {:utf8String, name})]]} end
+    :public_key.pkix_sign(tbs(tbs, subject: rdn.(subject), issuer: rdn.(issuer)), key)
   end
 
   defp general_name(host) do

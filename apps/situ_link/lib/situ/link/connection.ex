@@ -17,8 +17,8 @@ defmodule Situ.Link.Connection do
 
   require Logger
 
-  @first_wait 50
-  @longest_wait 5_000
+  @min_wait_ms 50
+  @max_wait_ms 5_000
   @ping_ms 1_000
   @first_pings 8
   @first_ping_ms 25
@@ -30,18 +30,18 @@ defmodule Situ.Link.Connection do
     :socket,
     :dialer,
     :error,
-    :told,
-    :heard,
+    :logged_code,
+    :received_ms,
     :session,
-    wait: @first_wait,
+    wait_ms: @min_wait_ms,
     catalogue: Catalogue.new(),
     channels: %{},
-    next: 1,
+    next_id: 1,
     clock: ClockEstimate.new(),
     pings: 0,
-    connected: 0,
+    connections: 0,
     positions: %Positions{},
-    received: 0
+    bytes: 0
   ]
 
   # The options are token, tls, now, position (a path or nil), save_every and log.
@@ -57,11 +57,11 @@ defmodule Situ.Link.Connection do
 
   @doc "Subscribes the calling process, which then receives `{:situ_link, channel, event}` messages."
   @spec subscribe(pid(), map()) :: {:ok, Frame.channel()} | {:error, Situ.Error.t()}
-  def subscribe(pid, wanted), do: GenServer.call(pid, {:subscribe, wanted}, 30_000)
+  def subscribe(pid, request), do: GenServer.call(pid, {:subscribe, request}, 30_000)
 
   @doc "Reports that the subscriber has consumed `bytes` of its messages, up to the originating time `last`."
   @spec report_consumed(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t() | nil) :: :ok
-  def report_consumed(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
+  def report_consumed(pid, id, bytes, last), do: GenServer.cast(pid, {:consumed, id, bytes, last})
 
   @doc "Makes the position of a stream its last confirmed message instead of the last one delivered."
   @spec enable_confirmation(pid(), String.t()) :: :ok
@@ -104,11 +104,11 @@ defmodule Situ.Link.Connection do
       else: {:noreply, %{state | catalogue: Catalogue.add_waiter(state.catalogue, from, wait_ms)}}
   end
 
-  def handle_call({:subscribe, wanted}, {pid, _}, state) do
-    id = state.next
+  def handle_call({:subscribe, request}, {pid, _}, state) do
+    id = state.next_id
     Process.monitor(pid)
-    channel = Channel.new(id, pid, wanted)
-    state = %{state | next: id + 1, channels: Map.put(state.channels, id, channel)}
+    channel = Channel.new(id, pid, request)
+    state = %{state | next_id: id + 1, channels: Map.put(state.channels, id, channel)}
     {:reply, {:ok, id}, send_subscribe(state, channel)}
   end
 
@@ -118,7 +118,7 @@ defmodule Situ.Link.Connection do
   def handle_call(:info, _from, state), do: {:reply, LinkInfo.build_link_info(state), state}
 
   @impl true
-  def handle_cast({:taken, id, bytes, last}, state) do
+  def handle_cast({:consumed, id, bytes, last}, state) do
     case state.channels do
       %{^id => channel} ->
         {:noreply, FrameHandler.send_credit(state, Channel.record_consumed(channel, bytes, last))}
@@ -142,18 +142,33 @@ defmodule Situ.Link.Connection do
 
       {channel, channels} ->
         DatagramReceiver.stop_receiver(channel)
-        positions = Positions.retain_position(state.positions, channel.name, channel.taken)
+        positions = Positions.retain_position(state.positions, channel.name, channel.consumed)
         %{state | channels: channels, positions: positions}
     end
   end
 
   @impl true
   def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
-    state = %{state | socket: socket, dialer: nil, error: nil, told: nil, wait: @first_wait}
-    now = System.monotonic_time(:millisecond)
-    state = %{state | session: make_ref(), heard: now, pings: 0, connected: state.connected + 1}
+    state = %{
+      state
+      | socket: socket,
+        dialer: nil,
+        error: nil,
+        logged_code: nil,
+        wait_ms: @min_wait_ms
+    }
 
-    case Socket.enable_frames(socket, Dialer.most_bytes()) do
+    now = System.monotonic_time(:millisecond)
+
+    state = %{
+      state
+      | session: make_ref(),
+        received_ms: now,
+        pings: 0,
+        connections: state.connections + 1
+    }
+
+    case Socket.enable_frames(socket, Dialer.max_bytes()) do
       :ok ->
         send(self(), {:ping, state.session})
         # Subscribe again to the streams of the connection that was lost.
@@ -174,8 +189,8 @@ defmodule Situ.Link.Connection do
       when kind in [:tcp, :ssl] do
     state = %{
       state
-      | heard: System.monotonic_time(:millisecond),
-        received: state.received + byte_size(body)
+      | received_ms: System.monotonic_time(:millisecond),
+        bytes: state.bytes + byte_size(body)
     }
 
     with {:ok, frame} <- Frame.decode(body),
@@ -197,12 +212,12 @@ defmodule Situ.Link.Connection do
 
   def handle_info({:ping, session}, %{session: session, socket: socket} = state)
       when socket != nil do
-    if System.monotonic_time(:millisecond) - state.heard > @silence_ms do
+    if System.monotonic_time(:millisecond) - state.received_ms > @silence_ms do
       {:noreply,
        handle_disconnect(state, "no data was received for #{div(@silence_ms, 1_000)} s")}
     else
-      every = if state.pings < @first_pings, do: @first_ping_ms, else: @ping_ms
-      Process.send_after(self(), {:ping, session}, every)
+      interval = if state.pings < @first_pings, do: @first_ping_ms, else: @ping_ms
+      Process.send_after(self(), {:ping, session}, interval)
 
       {:noreply,
        FrameHandler.send_frame(%{state | pings: state.pings + 1}, {:ping, state.opts.now.()})}
@@ -252,7 +267,7 @@ defmodule Situ.Link.Connection do
   # The following functions connect and reconnect.
 
   defp send_subscribe(%{socket: nil} = state, _channel), do: state
-  defp send_subscribe(state, %{ended: true}), do: state
+  defp send_subscribe(state, %{ended?: true}), do: state
 
   defp send_subscribe(state, channel) do
     {map, channel} = channel |> Channel.build_request() |> DatagramReceiver.add_datagram_request()
@@ -264,22 +279,28 @@ defmodule Situ.Link.Connection do
 
   defp handle_disconnect(state, why) do
     Socket.close(state.socket)
-    where = Address.to_string(state.address)
+    address = Address.to_string(state.address)
 
     schedule_reconnect(
       %{state | socket: nil},
-      Situ.Error.new(:link_lost, "the link to #{where} was lost", why: why)
+      Situ.Error.new(:link_lost, "the link to #{address} was lost", why: why)
     )
   end
 
   # An error that repeats is logged only once.
   defp schedule_reconnect(state, error) do
-    if state.told != error.code and state.connected > 0,
+    if state.logged_code != error.code and state.connections > 0,
       do: Logger.warning(Exception.message(error))
 
-    jitter = :rand.uniform(div(state.wait, 4) + 1)
-    Process.send_after(self(), :dial, state.wait + jitter)
-    state = %{state | wait: min(state.wait * 2, @longest_wait), told: error.code, error: error}
+    jitter = :rand.uniform(div(state.wait_ms, 4) + 1)
+    Process.send_after(self(), :dial, state.wait_ms + jitter)
+
+    state = %{
+      state
+      | wait_ms: min(state.wait_ms * 2, @max_wait_ms),
+        logged_code: error.code,
+        error: error
+    }
 
     if fatal_error?(error),
       do: %{state | catalogue: Catalogue.fail_waiters(state.catalogue, error)},
@@ -296,8 +317,8 @@ defmodule Situ.Link.Connection do
   defp save_positions(%{opts: %{position: nil}} = state), do: state
 
   defp save_positions(state) do
-    taken = for {_, channel} <- state.channels, do: {channel.name, channel.taken}
-    {result, positions} = Positions.save_changes(state.positions, state.opts.position, taken)
+    consumed = for {_, channel} <- state.channels, do: {channel.name, channel.consumed}
+    {result, positions} = Positions.save_changes(state.positions, state.opts.position, consumed)
     with {:error, error} <- result, do: Logger.error(Exception.message(error))
     %{state | positions: positions}
   end

@@ -1,34 +1,22 @@
 defmodule Situ.Link.Recording do
-  @moduledoc """
-  Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`. This also works in
-  `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
-
-      {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
-      Situ.Store.streams(store)
-
-  The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may include a version
-  (`situ://lab1/lobby.0003`). Without one, the newest version at the time of opening is used from then on. The server
-  sends only the requested data: the summary of a day is a few kilobytes. If the connection is lost, the next request
-  opens it again. Until that succeeds, requests fail with `:link_lost` or `:unreachable`.
-
-  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken from
-  `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable `SITU_TOKEN`, or from the first line
-  of the file named by `SITU_TOKEN_FILE`. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only
-  that certificate is accepted.
-
-      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
-      iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
-      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Open", type: :boolean)
-      iex> message = %Situ.Message{data: true, originating_time: 7, creation_time: 8, sequence_id: 1}
-      iex> {:ok, _} = Situ.Store.Writer.append(stream, [message])
-      iex> :ok = Situ.Store.Writer.close(writer)
-      iex> {:ok, server} = Situ.Link.serve(writer.path, port: 0)
-      iex> {:ok, store} = Situ.Store.open("situ://127.0.0.1:\#{Situ.Link.Server.port(server)}/door")
-      iex> for m <- Situ.Store.messages(store, "Open"), do: {m.originating_time, m.data}
-      [{7, true}]
-      iex> Situ.Link.Server.close(server)
-      iex> File.rm_rf!(root)
-  """
+  @moduledoc false
+  # Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`.
+  # This also works in `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
+  #
+  #     {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
+  #     Situ.Store.streams(store)
+  #
+  # The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may
+  # include a version (`situ://lab1/lobby.0003`). Without one, the newest version at the time of
+  # opening is used from then on. The server sends only the requested data: the summary of a day
+  # is a few kilobytes. If the connection is lost, the next request opens it again. Until that
+  # succeeds, requests fail with `:link_lost` or `:unreachable`.
+  #
+  # Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken
+  # from `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable
+  # `SITU_TOKEN`, or from the first line of the file named by `SITU_TOKEN_FILE`. With a
+  # fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only that certificate is
+  # accepted.
   # See docs/adr/0115-remote-recordings-answer-requests.md.
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
@@ -84,10 +72,10 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def stream(state, name) do
-    asked = %{"op" => "stream", "stream" => name}
+    request = %{"op" => "stream", "stream" => name}
 
     with {:ok, [info]} <-
-           fetch_decoded(state, asked, &ReplyDecoder.decode_streams(&1, address_text(state))),
+           fetch_decoded(state, request, &ReplyDecoder.decode_streams(&1, address_text(state))),
          do: {:ok, info}
   end
 
@@ -107,7 +95,7 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
-    asked = %{
+    request = %{
       "ordinal" => ordinal,
       "to" => if(to == :unbounded, do: nil, else: clamp(to)),
       "limit" => limit,
@@ -117,32 +105,38 @@ defmodule Situ.Link.Recording do
     }
 
     with {:ok, {messages, next}} <-
-           request_stream(state, info, "read", asked, &ReplyDecoder.decode_messages(&1, info.id)),
+           request_stream(
+             state,
+             info,
+             "read",
+             request,
+             &ReplyDecoder.decode_messages(&1, info.id)
+           ),
          do: {:ok, messages, next}
   end
 
   @impl true
   def summary(state, info, from, to, pixels) do
-    asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
+    request = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
 
     with {:ok, {width, bins}} <-
-           request_stream(state, info, "summary", asked, &ReplyDecoder.decode_summary/1),
+           request_stream(state, info, "summary", request, &ReplyDecoder.decode_summary/1),
          do: {:ok, width, bins}
   end
 
   @impl true
-  def tracks(state, info, from, to, level, most) do
-    asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
+  def tracks(state, info, from, to, level, max) do
+    request = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => max}
 
     with {:ok, {counts, tracks}} <-
-           request_stream(state, info, "tracks", asked, &ReplyDecoder.decode_tracks/1),
+           request_stream(state, info, "tracks", request, &ReplyDecoder.decode_tracks/1),
          do: {:ok, counts, tracks}
   end
 
   @impl true
-  def gaps(state, info, least) do
+  def gaps(state, info, min) do
     state
-    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &ReplyDecoder.decode_spans/1)
+    |> request_stream(info, "gaps", %{"least" => clamp(min)}, &ReplyDecoder.decode_spans/1)
     |> Error.unwrap!()
   end
 
@@ -155,21 +149,21 @@ defmodule Situ.Link.Recording do
 
   @impl true
   def notify(state, known, pid, tag) do
-    asked = %{"op" => "await", "known" => known, "version" => state.version}
-    Client.await_news(state.address, state.access, asked, {pid, tag})
+    request = %{"op" => "await", "known" => known, "version" => state.version}
+    Client.await_notice(state.address, state.access, request, {pid, tag})
   end
 
-  defp request_stream(state, %StreamInfo{name: name}, op, asked, read),
-    do: fetch_decoded(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
+  defp request_stream(state, %StreamInfo{name: name}, op, request, decode),
+    do: fetch_decoded(state, Map.merge(request, %{"op" => op, "stream" => name}), decode)
 
-  defp fetch_decoded(state, asked, read) do
-    asked = Map.put(asked, "version", state.version)
+  defp fetch_decoded(state, request, decode) do
+    request = Map.put(request, "version", state.version)
 
-    with {:ok, body} <- Client.fetch_reply(state.address, state.access, asked),
-         :error <- read.(body) do
+    with {:ok, body} <- Client.fetch_reply(state.address, state.access, request),
+         :error <- decode.(body) do
       {:error,
        Error.new(:bad_reply, "the reply from #{address_text(state)} is malformed",
-         why: "the reply to #{asked["op"]} does not have the form that this release expects",
+         why: "the reply to #{request["op"]} does not have the form that this release expects",
          fix: "install the same release of Situ on both sides"
        )}
     end

@@ -11,15 +11,22 @@ defmodule Situ.Link.Server do
   alias Situ.Link.Wire.Socket
   alias Situ.Link.Server.Session
 
-  @most_clients 1_000
-  @most_per_address 250
+  @max_clients 1_000
+  @max_per_address 250
   # This many rejected clients at a time are sent the reason; the connections of further ones are just closed.
-  @most_told 50
+  @max_refusals 50
   # The limit of wrong tokens from one address within a minute.
-  @most_wrong 20
+  @max_guesses 20
   @minute_ms 60_000
 
-  defstruct [:config, listeners: [], sessions: %{}, told: MapSet.new(), wrong: %{}, refused: 0]
+  defstruct [
+    :config,
+    listeners: [],
+    sessions: %{},
+    refusals: MapSet.new(),
+    guesses: %{},
+    refused: 0
+  ]
 
   @doc "Opens the listeners. `config` holds the settings of the sessions: `served`, `token`, `quota`, `now`."
   @spec start_link([{:tcp | :tls | :unix, keyword()}], map()) ::
@@ -33,15 +40,15 @@ defmodule Situ.Link.Server do
     end
   end
 
-  defp listen_all([], done), do: {:ok, Enum.reverse(done)}
+  defp listen_all([], listeners), do: {:ok, Enum.reverse(listeners)}
 
-  defp listen_all([{kind, opts} | rest], done) do
+  defp listen_all([{kind, opts} | rest], listeners) do
     case Socket.listen(kind, opts) do
       {:ok, listener} ->
-        listen_all(rest, [{kind, listener} | done])
+        listen_all(rest, [{kind, listener} | listeners])
 
       {:error, error} ->
-        for {_, listener} <- done, do: Socket.close(listener)
+        for {_, listener} <- listeners, do: Socket.close(listener)
         {:error, error}
     end
   end
@@ -66,8 +73,8 @@ defmodule Situ.Link.Server do
     %{clients: clients, refused: refused}
   end
 
-  defp call_session(session, question) do
-    [GenServer.call(session, question, 30_000)]
+  defp call_session(session, request) do
+    [GenServer.call(session, request, 30_000)]
   catch
     :exit, _ -> []
   end
@@ -75,14 +82,14 @@ defmodule Situ.Link.Server do
   @doc "Waits up to `timeout` ms until clients have received all available data, then closes the server."
   @spec close(GenServer.server(), non_neg_integer()) :: :ok
   def close(server, timeout \\ 0) do
-    until = System.monotonic_time(:millisecond) + timeout
+    deadline = System.monotonic_time(:millisecond) + timeout
 
-    poll_until(until, fn ->
+    poll_until(deadline, fn ->
       Enum.all?(list_sessions(server), &(call_session(&1, :drained?) != [false]))
     end)
 
     if timeout > 0, do: Enum.each(list_sessions(server), &call_session(&1, :finish))
-    poll_until(until, fn -> list_sessions(server) == [] end)
+    poll_until(deadline, fn -> list_sessions(server) == [] end)
     GenServer.stop(server, :normal, 30_000)
   catch
     :exit, _ -> :ok
@@ -90,10 +97,10 @@ defmodule Situ.Link.Server do
 
   defp list_sessions(server), do: server |> GenServer.call(:sessions) |> elem(0)
 
-  defp poll_until(until, condition) do
-    if System.monotonic_time(:millisecond) < until and not condition.() do
+  defp poll_until(deadline, condition) do
+    if System.monotonic_time(:millisecond) < deadline and not condition.() do
       Process.sleep(5)
-      poll_until(until, condition)
+      poll_until(deadline, condition)
     end
   end
 
@@ -110,11 +117,11 @@ defmodule Situ.Link.Server do
     {:reply, :ok, %{state | listeners: listeners}}
   end
 
-  def handle_call(:port, _from, state), do: {:reply, listened(state), state}
+  def handle_call(:port, _from, state), do: {:reply, listening_port(state), state}
 
   def handle_call({:address, name}, _from, %{config: config} = state) do
     {:reply,
-     with(port when port != nil <- listened(state), do: public_address(config, port, name)),
+     with(port when port != nil <- listening_port(state), do: public_address(config, port, name)),
      state}
   end
 
@@ -134,52 +141,53 @@ defmodule Situ.Link.Server do
     {:reply, {:ok, session}, %{state | sessions: Map.put(state.sessions, session, peer)}}
   end
 
-  defp turn_away(%{told: told} = state) do
-    if MapSet.size(told) < @most_told do
-      {:ok, session} = Session.start_link(Map.put(state.config, :refusal, listening_port()))
+  defp turn_away(%{refusals: refusals} = state) do
+    if MapSet.size(refusals) < @max_refusals do
+      {:ok, session} = Session.start_link(Map.put(state.config, :refusal, full_error()))
 
-      {:reply, {:ok, session}, %{state | told: MapSet.put(told, session)}}
+      {:reply, {:ok, session}, %{state | refusals: MapSet.put(refusals, session)}}
     else
       {:reply, :full, %{state | refused: state.refused + 1}}
     end
   end
 
-  defp listening_port do
+  defp full_error do
     Error.new(:too_many_clients, "the server of the link has no room for another client",
       why:
-        "it accepts #{@most_clients} clients in total, and #{@most_per_address} from one address",
+        "it accepts #{@max_clients} clients in total, and #{@max_per_address} from one address",
       fix: "close unused links, or try again later"
     )
   end
 
-  defp listened(state),
+  defp listening_port(state),
     do: Enum.find_value(state.listeners, fn {_, listener} -> Socket.port(listener) end)
 
   defp public_address(config, port, name) do
     Address.to_string(%Address{
       transport: config.transport,
-      host: if(config.interface in ["0.0.0.0", "::"], do: own_name(), else: config.interface),
+      host: if(config.interface in ["0.0.0.0", "::"], do: host_name(), else: config.interface),
       port: port,
       fingerprint: config.fingerprint,
       name: name
     })
   end
 
-  defp own_name do
+  defp host_name do
     {:ok, name} = :inet.gethostname()
     to_string(name)
   end
 
   defp at_capacity?(state, peer) do
-    map_size(state.sessions) >= @most_clients or
-      Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @most_per_address
+    map_size(state.sessions) >= @max_clients or
+      Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @max_per_address
   end
 
-  defp too_many_guesses?(state, peer), do: length(recent_wrong_tokens(state, peer)) >= @most_wrong
+  defp too_many_guesses?(state, peer),
+    do: length(recent_wrong_tokens(state, peer)) >= @max_guesses
 
   defp recent_wrong_tokens(state, peer) do
     now = System.monotonic_time(:millisecond)
-    state.wrong |> Map.get(peer, []) |> Enum.filter(&(now - &1 < @minute_ms))
+    state.guesses |> Map.get(peer, []) |> Enum.filter(&(now - &1 < @minute_ms))
   end
 
   @impl true
@@ -189,7 +197,7 @@ defmodule Situ.Link.Server do
 
     if code == :wrong_token and peer != nil do
       times = [System.monotonic_time(:millisecond) | recent_wrong_tokens(state, peer)]
-      {:noreply, %{state | wrong: Map.put(limit_wrong_tokens(state.wrong), peer, times)}}
+      {:noreply, %{state | guesses: Map.put(limit_wrong_tokens(state.guesses), peer, times)}}
     else
       {:noreply, state}
     end
@@ -199,19 +207,19 @@ defmodule Situ.Link.Server do
     do: {:noreply, %{state | sessions: Map.delete(state.sessions, pid)}}
 
   # An acceptor ends with its listener, and the server with the process that started it.
-  def handle_info({:EXIT, pid, reason}, %{told: told} = state) do
-    if MapSet.member?(told, pid),
-      do: {:noreply, %{state | told: MapSet.delete(told, pid)}},
+  def handle_info({:EXIT, pid, reason}, %{refusals: refusals} = state) do
+    if MapSet.member?(refusals, pid),
+      do: {:noreply, %{state | refusals: MapSet.delete(refusals, pid)}},
       else: {:stop, reason, state}
   end
 
   # Bounds the memory that an attacker with many addresses can use.
-  defp limit_wrong_tokens(wrong) when map_size(wrong) < 10_000, do: wrong
+  defp limit_wrong_tokens(guesses) when map_size(guesses) < 10_000, do: guesses
   defp limit_wrong_tokens(_wrong), do: %{}
 
   @impl true
   def terminate(_reason, state) do
-    for session <- Map.keys(state.sessions) ++ MapSet.to_list(state.told),
+    for session <- Map.keys(state.sessions) ++ MapSet.to_list(state.refusals),
         do: Process.exit(session, :shutdown)
 
     for {kind, listener} <- state.listeners do

@@ -85,13 +85,13 @@ defmodule Situ.Link.ServerConfig do
 
   @spec serve(served() | %{String.t() => served()}, keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
-  def serve(what, opts \\ []) do
+  def serve(source, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
          {:ok, opts} <- ensure_certificate(opts),
          :ok <- check_access(opts),
-         {:ok, served} <- build_served(what, opts),
+         {:ok, served} <- build_served(source, opts),
          {:ok, server} <- Server.start_link(listener_options(opts), server_config(served, opts)) do
-      if p = opts[:pipeline] || find_pipeline(what),
+      if p = opts[:pipeline] || find_pipeline(source),
         do: close_with_pipeline(server, p, opts[:linger])
 
       {:ok, server}
@@ -142,7 +142,7 @@ defmodule Situ.Link.ServerConfig do
   defp find_pipeline([{_name, %Situ.Stream{pipeline: p}} | _]), do: p
 
   defp find_pipeline(%{} = map) when not is_struct(map),
-    do: Enum.find_value(map, fn {_, what} -> find_pipeline(what) end)
+    do: Enum.find_value(map, fn {_, source} -> find_pipeline(source) end)
 
   defp find_pipeline(_recording), do: nil
 
@@ -160,14 +160,14 @@ defmodule Situ.Link.ServerConfig do
   end
 
   defp check_access(opts) do
-    known? = is_binary(opts[:token]) or get_in(opts, [:tls, :verify]) == :verify_peer
+    authenticated? = is_binary(opts[:token]) or get_in(opts, [:tls, :verify]) == :verify_peer
 
     cond do
       opts[:port] == :none and opts[:unix] == nil ->
         {:error,
          Error.new(:bad_option, "`port: :none` requires `unix:`", fix: "give unix: a path")}
 
-      opts[:port] == :none or loopback_interface?(opts[:interface]) or known? or
+      opts[:port] == :none or loopback_interface?(opts[:interface]) or authenticated? or
           opts[:token] == :none ->
         :ok
 
@@ -189,16 +189,16 @@ defmodule Situ.Link.ServerConfig do
   end
 
   defp build_served(%{} = map, opts) when not is_struct(map) do
-    Enum.reduce_while(map, {:ok, %{}}, fn {name, what}, {:ok, served} ->
-      case build_spec(what, opts) do
+    Enum.reduce_while(map, {:ok, %{}}, fn {name, source}, {:ok, served} ->
+      case build_spec(source, opts) do
         {:ok, _name, spec} -> {:cont, {:ok, Map.put(served, name, spec)}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp build_served(what, opts) do
-    with {:ok, name, spec} <- build_spec(what, opts), do: {:ok, %{name => spec}}
+  defp build_served(source, opts) do
+    with {:ok, name, spec} <- build_spec(source, opts), do: {:ok, %{name => spec}}
   end
 
   defp build_spec(%Situ.Recording{} = store, _opts),

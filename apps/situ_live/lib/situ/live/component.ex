@@ -66,9 +66,14 @@ defmodule Situ.Live.Component do
   @doc false
   def __on_definition__(env, :def, name, [_assigns], _guards, _body) do
     case Module.delete_attribute(env.module, :situ_live_attrs) do
-      [] -> :ok
-      nil -> :ok
-      declared -> Module.put_attribute(env.module, :situ_live_components, {name, declared})
+      [] ->
+        :ok
+
+      nil ->
+        :ok
+
+      declarations ->
+        Module.put_attribute(env.module, :situ_live_components, {name, declarations})
     end
 
     Module.register_attribute(env.module, :situ_live_attrs, accumulate: true)
@@ -78,7 +83,7 @@ defmodule Situ.Live.Component do
 
   @doc false
   defmacro __before_compile__(env) do
-    for {name, declared} <- Module.get_attribute(env.module, :situ_live_components) do
+    for {name, declarations} <- Module.get_attribute(env.module, :situ_live_components) do
       quote do
         defoverridable [{unquote(name), 1}]
 
@@ -86,7 +91,7 @@ defmodule Situ.Live.Component do
           assigns
           |> Situ.Live.Component.apply_declarations(
             unquote(name),
-            unquote(Macro.escape(declared))
+            unquote(Macro.escape(declarations))
           )
           |> super()
         end
@@ -95,10 +100,10 @@ defmodule Situ.Live.Component do
   end
 
   @doc false
-  def apply_declarations(assigns, component, declared) do
-    names = Enum.map(declared, &elem(&1, 1))
+  def apply_declarations(assigns, component, declarations) do
+    names = Enum.map(declarations, &elem(&1, 1))
 
-    Enum.reduce(declared, assigns, fn
+    Enum.reduce(declarations, assigns, fn
       {:attr, name, :global, opts}, acc ->
         rest = Map.drop(assigns, [:__changed__, :__slot__, :inner_block | names])
         Map.put_new(acc, name, Map.merge(opts[:default] || %{}, rest))
@@ -165,7 +170,7 @@ defmodule Situ.Live.Component do
   """
   @spec link(map()) :: Rendered.t()
   def link(assigns) do
-    {to, live} =
+    {to, link_attributes} =
       case assigns do
         %{patch: to} when is_binary(to) -> {to, %{"data-phx-link": "patch"}}
         %{navigate: to} when is_binary(to) -> {to, %{"data-phx-link": "redirect"}}
@@ -173,10 +178,15 @@ defmodule Situ.Live.Component do
       end
 
     state = if assigns[:replace], do: "replace", else: "push"
-    live = if live == %{}, do: live, else: Map.put(live, :"data-phx-link-state", state)
-    drop = [:__changed__, :inner_block, :patch, :navigate, :href, :replace, :rest]
-    rest = assigns |> Map.drop(drop) |> Map.merge(Map.get(assigns, :rest) || %{})
-    attributes = [{"href", safe_href(to)} | Enum.to_list(live) ++ Enum.to_list(rest)]
+
+    link_attributes =
+      if link_attributes == %{},
+        do: link_attributes,
+        else: Map.put(link_attributes, :"data-phx-link-state", state)
+
+    reserved = [:__changed__, :inner_block, :patch, :navigate, :href, :replace, :rest]
+    rest = assigns |> Map.drop(reserved) |> Map.merge(Map.get(assigns, :rest) || %{})
+    attributes = [{"href", safe_href(to)} | Enum.to_list(link_attributes) ++ Enum.to_list(rest)]
 
     %Rendered{
       static: ["<a", ">", "</a>"],

@@ -5,14 +5,14 @@ defmodule Situ.Live.Connections do
 
   @spec register(reference()) :: :atomics.atomics_ref()
   def register(ref) do
-    seen = :atomics.new(1, signed: true)
-    touch(seen)
-    {:ok, _} = Registry.register(__MODULE__, ref, seen)
-    seen
+    last_seen = :atomics.new(1, signed: true)
+    touch(last_seen)
+    {:ok, _} = Registry.register(__MODULE__, ref, last_seen)
+    last_seen
   end
 
   @spec touch(:atomics.atomics_ref()) :: :ok
-  def touch(seen), do: :atomics.put(seen, 1, System.monotonic_time(:millisecond))
+  def touch(last_seen), do: :atomics.put(last_seen, 1, System.monotonic_time(:millisecond))
 
   @spec count(reference()) :: non_neg_integer()
   def count(ref), do: length(list_pids(ref))
@@ -27,12 +27,12 @@ defmodule Situ.Live.Connections do
   def kill_idle(ref, idle_ms) do
     now = System.monotonic_time(:millisecond)
 
-    stale =
-      for {pid, seen} <- Registry.lookup(__MODULE__, ref),
-          now - :atomics.get(seen, 1) > idle_ms,
+    idle =
+      for {pid, last_seen} <- Registry.lookup(__MODULE__, ref),
+          now - :atomics.get(last_seen, 1) > idle_ms,
           do: pid
 
-    Enum.each(stale, &Process.exit(&1, :kill))
-    length(stale)
+    Enum.each(idle, &Process.exit(&1, :kill))
+    length(idle)
   end
 end

@@ -1,15 +1,14 @@
 defmodule Situ.Live.Diff do
-  @moduledoc """
-  Computes the difference between the tree that a browser shows and a newly rendered one, as the message that the
-  LiveView client merges.
-
-  The module is pure: `diff_tree/2` takes the tree and the memory of the last one, and returns the message and the new
-  memory. Only values that differ are sent. List entries that moved are sent as moves, and the static strings of a
-  template are sent once.
-
-  The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint, %{key => {index,
-  values}}}`, `{:stream, fingerprint}`, `{:island, cid, memory}` or a string.
-  """
+  @moduledoc false
+  # Computes the difference between the tree that a browser shows and a newly rendered one, as the
+  # message that the LiveView client merges.
+  #
+  # The module is pure: `diff_tree/2` takes the tree and the memory of the last one, and returns
+  # the message and the new memory. Only values that differ are sent. List entries that moved are
+  # sent as moves, and the static strings of a template are sent once.
+  #
+  # The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint,
+  # %{key => {index, values}}}`, `{:stream, fingerprint}`, `{:island, cid, memory}` or a string.
   # See docs/adr/0071-templates-are-compiled-here-and-diffed-by-value.md.
   alias Situ.Live.{Comprehension, Island, Rendered}
 
@@ -38,10 +37,10 @@ defmodule Situ.Live.Diff do
   end
 
   @doc "Returns the given island numbers whose islands are shown."
-  @spec shown_cids(t(), [integer()]) :: [integer()]
-  def shown_cids(%__MODULE__{root: root}, cids) do
-    shown = root |> collect_cids([]) |> MapSet.new()
-    Enum.filter(cids, &(&1 in shown))
+  @spec visible_cids(t(), [integer()]) :: [integer()]
+  def visible_cids(%__MODULE__{root: root}, cids) do
+    visible = root |> collect_cids([]) |> MapSet.new()
+    Enum.filter(cids, &(&1 in visible))
   end
 
   defp collect_cids({:island, cid, memory}, acc), do: collect_cids(memory, [cid | acc])
@@ -57,7 +56,7 @@ defmodule Situ.Live.Diff do
 
   # A tree with its own table of static strings: the page, or one island.
   defp diff_root(rendered, memory, acc) do
-    outer = acc.statics
+    outer_statics = acc.statics
     {diff, memory, acc} = diff_value(rendered, memory, %{acc | statics: %{}}, :own)
     diff = if diff == :same, do: %{}, else: diff
 
@@ -66,7 +65,7 @@ defmodule Situ.Live.Diff do
         do: diff,
         else: Map.put(diff, "p", Map.new(acc.statics, fn {_, {i, s}} -> {json_index(i), s} end))
 
-    {diff, memory, %{acc | statics: outer}}
+    {diff, memory, %{acc | statics: outer_statics}}
   end
 
   # -- value: {diff | :same, memory, acc}
@@ -80,9 +79,9 @@ defmodule Situ.Live.Diff do
     {if(diff == %{}, do: :same, else: diff), {:tree, fp, values}, acc}
   end
 
-  defp diff_value(%Rendered{fingerprint: fp} = rendered, _, acc, where) do
+  defp diff_value(%Rendered{fingerprint: fp} = rendered, _, acc, table) do
     {diff, values, acc} = build_values(rendered.dynamic, acc)
-    {static, acc} = put_static(rendered.static, fp, acc, where)
+    {static, acc} = put_static(rendered.static, fp, acc, table)
     {Map.put(diff, "s", static), {:tree, fp, values}, acc}
   end
 
@@ -144,23 +143,24 @@ defmodule Situ.Live.Diff do
   defp build_each_value([:unchanged | _], _, _, _, _), do: throw(:stale)
 
   defp build_each_value([value | rest], acc, i, diff, values) do
-    {made, memory, acc} = diff_value(value, nil, acc, :shared)
-    build_each_value(rest, acc, i + 1, Map.put(diff, json_index(i), made), [memory | values])
+    {value_diff, memory, acc} = diff_value(value, nil, acc, :shared)
+
+    build_each_value(rest, acc, i + 1, Map.put(diff, json_index(i), value_diff), [memory | values])
   end
 
   # -- lists
 
   defp diff_entries(list, old, acc, new?) do
-    start = %{diff: %{}, memory: %{}, count: 0, moved?: false, acc: acc}
-    found = Enum.reduce(list.entries, start, &diff_entry(&1, old, &2))
-    memory = {:list, list.fingerprint, found.memory}
+    initial = %{diff: %{}, memory: %{}, count: 0, moved?: false, acc: acc}
+    result = Enum.reduce(list.entries, initial, &diff_entry(&1, old, &2))
+    memory = {:list, list.fingerprint, result.memory}
 
-    if not new? and found.diff == %{} and found.count == map_size(old) do
-      {:same, memory, found.acc}
+    if not new? and result.diff == %{} and result.count == map_size(old) do
+      {:same, memory, result.acc}
     else
-      keyed = Map.put(found.diff, "kc", found.count)
-      keyed = if found.moved?, do: Map.put(keyed, "km", true), else: keyed
-      put_list_static(list, %{"k" => keyed}, memory, found.acc, new?)
+      keyed = Map.put(result.diff, "kc", result.count)
+      keyed = if result.moved?, do: Map.put(keyed, "km", true), else: keyed
+      put_list_static(list, %{"k" => keyed}, memory, result.acc, new?)
     end
   end
 
@@ -172,35 +172,35 @@ defmodule Situ.Live.Diff do
   end
 
   # If two entries share a key, the second is identified by its index, like entries without a key.
-  defp diff_entry({key, dynamic}, old, found) do
-    i = found.count
+  defp diff_entry({key, dynamic}, old, result) do
+    i = result.count
     key = if key == nil, do: {:index, i}, else: {:key, key}
-    key = if is_map_key(found.memory, key), do: {:index, i}, else: key
+    key = if is_map_key(result.memory, key), do: {:index, i}, else: key
 
     {diff, values, acc, moved?} =
       case old do
-        %{^key => {from, values}} -> update_entry(dynamic, values, from, i, found)
-        _ -> add_entry(dynamic, i, found)
+        %{^key => {from, values}} -> update_entry(dynamic, values, from, i, result)
+        _ -> add_entry(dynamic, i, result)
       end
 
-    memory = Map.put(found.memory, key, {i, values})
-    %{diff: diff, memory: memory, count: i + 1, moved?: found.moved? or moved?, acc: acc}
+    memory = Map.put(result.memory, key, {i, values})
+    %{diff: diff, memory: memory, count: i + 1, moved?: result.moved? or moved?, acc: acc}
   end
 
-  defp add_entry(dynamic, i, found) do
-    {made, values, acc} = build_values(dynamic, found.acc)
-    {Map.put(found.diff, json_index(i), made), values, acc, false}
+  defp add_entry(dynamic, i, result) do
+    {value_diff, values, acc} = build_values(dynamic, result.acc)
+    {Map.put(result.diff, json_index(i), value_diff), values, acc, false}
   end
 
-  defp update_entry(dynamic, old, from, i, found) do
-    {changed, values, acc} = diff_values(dynamic, old, found.acc)
+  defp update_entry(dynamic, old, from, i, result) do
+    {changed, values, acc} = diff_values(dynamic, old, result.acc)
 
     diff =
       cond do
-        changed == %{} and from == i -> found.diff
-        changed == %{} -> Map.put(found.diff, json_index(i), from)
-        from == i -> Map.put(found.diff, json_index(i), changed)
-        true -> Map.put(found.diff, json_index(i), [from, changed])
+        changed == %{} and from == i -> result.diff
+        changed == %{} -> Map.put(result.diff, json_index(i), from)
+        from == i -> Map.put(result.diff, json_index(i), changed)
+        true -> Map.put(result.diff, json_index(i), [from, changed])
       end
 
     {diff, values, acc, from != i}

@@ -11,7 +11,7 @@ defmodule Situ.Live.DiffPacing do
   # large page, and the protocol does not report when it has finished. Without pacing, a server
   # that pushes 60 diffs a second makes such a page seconds late.
 
-  defstruct ack?: false, interval_ms: 33, timeout_ms: 5_000, sent_at: nil, waiting?: false
+  defstruct ack?: false, interval_ms: 33, timeout_ms: 5_000, sent_at: nil, awaiting_ack?: false
 
   @type t :: %__MODULE__{}
 
@@ -22,19 +22,20 @@ defmodule Situ.Live.DiffPacing do
   @spec time_to_send(t(), integer()) :: :now | {:wait, non_neg_integer()}
   def time_to_send(%__MODULE__{sent_at: nil}, _now), do: :now
 
-  def time_to_send(%__MODULE__{waiting?: true} = flow, now) do
-    left = flow.sent_at + flow.timeout_ms - now
-    if left <= 0, do: :now, else: {:wait, left}
+  def time_to_send(%__MODULE__{awaiting_ack?: true} = pacing, now) do
+    wait_ms = pacing.sent_at + pacing.timeout_ms - now
+    if wait_ms <= 0, do: :now, else: {:wait, wait_ms}
   end
 
-  def time_to_send(%__MODULE__{} = flow, now) do
-    left = flow.sent_at + flow.interval_ms - now
-    if left <= 0, do: :now, else: {:wait, left}
+  def time_to_send(%__MODULE__{} = pacing, now) do
+    wait_ms = pacing.sent_at + pacing.interval_ms - now
+    if wait_ms <= 0, do: :now, else: {:wait, wait_ms}
   end
 
   @spec record_sent(t(), integer()) :: t()
-  def record_sent(%__MODULE__{} = flow, now), do: %{flow | sent_at: now, waiting?: flow.ack?}
+  def record_sent(%__MODULE__{} = pacing, now),
+    do: %{pacing | sent_at: now, awaiting_ack?: pacing.ack?}
 
   @spec record_ack(t()) :: t()
-  def record_ack(%__MODULE__{} = flow), do: %{flow | waiting?: false}
+  def record_ack(%__MODULE__{} = pacing), do: %{pacing | awaiting_ack?: false}
 end

@@ -118,14 +118,14 @@ defmodule Situ.Live.Endpoint do
     case {verify_cookie(config, request), find_sent_token(request)} do
       {{:ok, :owner}, _} -> {:ok, :owner}
       {{:ok, :viewer}, nil} -> {:ok, :viewer}
-      {_, given} -> check_sent_token(config, request, given)
+      {_, sent} -> check_sent_token(config, request, sent)
     end
   end
 
   defp check_sent_token(_config, _request, nil), do: {:respond, unauthorized_response()}
 
   # After too many wrong guesses from an address, its tokens are not even compared.
-  defp check_sent_token(config, %{peer: {address, _}} = request, {how, token}) do
+  defp check_sent_token(config, %{peer: {address, _}} = request, {source, token}) do
     role =
       cond do
         TokenRateLimit.too_many?(config.ref, address) -> :guessing
@@ -139,7 +139,7 @@ defmodule Situ.Live.Endpoint do
         {:respond, too_many_guesses_response()}
 
       role when role in [:owner, :viewer] ->
-        if how == :query,
+        if source == :query,
           do: {:respond, redirect_with_cookie(config, request, role)},
           else: {:ok, role}
 
@@ -182,8 +182,8 @@ defmodule Situ.Live.Endpoint do
   # Cookies are shared between ports, and several servers may run on a machine.
   defp cookie_name(config), do: "situ_#{config.port}"
 
-  defp same_token?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
-    do: :crypto.hash_equals(given, token)
+  defp same_token?(sent, token) when is_binary(sent) and byte_size(sent) == byte_size(token),
+    do: :crypto.hash_equals(sent, token)
 
   defp same_token?(_, _), do: false
 
@@ -221,11 +221,12 @@ defmodule Situ.Live.Endpoint do
   # Browsers always send the origin of a WebSocket or a POST; other programs do not.
   defp check_origin(config, request) do
     origin = Request.get_header(request, "origin")
-    matters? = request.method not in ["GET", "HEAD"] or websocket_upgrade?(request)
+    origin_needed? = request.method not in ["GET", "HEAD"] or websocket_upgrade?(request)
 
-    if not matters? or origin in [nil | config.origins] or own_origin?(origin, config, request),
-      do: :ok,
-      else: {:respond, Response.error(403, "requests from other sites are not allowed")}
+    if not origin_needed? or origin in [nil | config.origins] or
+         own_origin?(origin, config, request),
+       do: :ok,
+       else: {:respond, Response.error(403, "requests from other sites are not allowed")}
   end
 
   # For the host name of the proxy, only the proxy's own origin is allowed, including its scheme.

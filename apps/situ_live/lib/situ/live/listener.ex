@@ -8,7 +8,7 @@ defmodule Situ.Live.Listener do
   @sweep_ms 15_000
   # The time between checks, for which one peer may hold all connections. While there are few connections, a check
   # costs nothing (`Situ.Live.PeerLimit`).
-  @crowd_ms 200
+  @peers_ms 200
   @idle_ms 90_000
 
   def start_link(arg), do: GenServer.start_link(__MODULE__, arg)
@@ -25,8 +25,9 @@ defmodule Situ.Live.Listener do
     case Yaws.open_listener(config.ref, config.ip, config.port, tls) do
       {:ok, sconf} ->
         Process.monitor(:yaws_server)
-        schedule_crowd_check()
-        {:ok, %{config: config, sconf: sconf, tick: schedule_sweep(), peers: MapSet.new()}}
+        schedule_sweep()
+        schedule_peer_check()
+        {:ok, %{config: config, sconf: sconf, peers: MapSet.new()}}
 
       {:error, error} ->
         Endpoint.erase_config(config.ref)
@@ -36,7 +37,7 @@ defmodule Situ.Live.Listener do
 
   defp schedule_sweep, do: Process.send_after(self(), :sweep, @sweep_ms)
 
-  defp schedule_crowd_check, do: Process.send_after(self(), :crowd, @crowd_ms)
+  defp schedule_peer_check, do: Process.send_after(self(), :check_peers, @peers_ms)
 
   @impl true
   def handle_call(:endpoint, _from, state), do: {:reply, state.config, state}
@@ -44,13 +45,14 @@ defmodule Situ.Live.Listener do
   @impl true
   def handle_info(:sweep, state) do
     Connections.kill_idle(state.config.ref, @idle_ms)
-    {:noreply, %{state | tick: schedule_sweep()}}
+    schedule_sweep()
+    {:noreply, state}
   end
 
-  def handle_info(:crowd, state) do
+  def handle_info(:check_peers, state) do
     {excess, peers} = PeerLimit.find_excess(state.config.port, state.peers)
     for pid <- excess, pid != self(), do: Process.exit(pid, :kill)
-    schedule_crowd_check()
+    schedule_peer_check()
     {:noreply, %{state | peers: peers}}
   end
 

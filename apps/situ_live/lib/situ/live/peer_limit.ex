@@ -4,7 +4,7 @@ defmodule Situ.Live.PeerLimit do
   # open all of them and lock everyone else out before it sends a byte. A separate process therefore counts them.
 
   # Half of the web server's limit.
-  @most 1_000
+  @max_per_peer 1_000
 
   @doc """
   Returns the processes of connections that exceed the limit of their address, and the processes that may stay.
@@ -13,19 +13,19 @@ defmodule Situ.Live.PeerLimit do
   """
   @spec find_excess(:inet.port_number(), MapSet.t(pid()), pos_integer()) ::
           {[pid()], MapSet.t(pid())}
-  def find_excess(port, earlier, most \\ @most) do
+  def find_excess(port, known, max \\ @max_per_peer) do
     # The check costs a few microseconds per connection and is unnecessary when there are few.
-    if :erlang.system_info(:port_count) > div(most, 2) do
-      {stay, excess} =
+    if :erlang.system_info(:port_count) > div(max, 2) do
+      {allowed, excess} =
         port
         |> list_connections()
         |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
         |> Enum.map(fn {_address, pids} ->
-          pids |> Enum.sort_by(&(&1 not in earlier)) |> Enum.split(most)
+          pids |> Enum.sort_by(&(&1 not in known)) |> Enum.split(max)
         end)
         |> Enum.unzip()
 
-      {List.flatten(excess), stay |> List.flatten() |> MapSet.new()}
+      {List.flatten(excess), allowed |> List.flatten() |> MapSet.new()}
     else
       {[], MapSet.new()}
     end

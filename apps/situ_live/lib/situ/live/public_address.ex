@@ -1,15 +1,7 @@
 defmodule Situ.Live.PublicAddress do
-  @moduledoc """
-  The address under which browsers reach a server through a proxy. The proxy terminates TLS and may add a path;
-  `public:` gives the server the resulting address.
-
-      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org:8443/studio/")
-      iex> {public.origin, public.base, public.segments}
-      {"https://lab.example.org:8443", "/studio", ["studio"]}
-      iex> {:error, error} = Situ.Live.PublicAddress.parse("lab.example.org")
-      iex> error.code
-      :bad_public
-  """
+  @moduledoc false
+  # The address under which browsers reach a server through a proxy. The proxy terminates TLS and
+  # may add a path; `public:` gives the server the resulting address.
   alias Situ.Error
 
   @enforce_keys [:url, :origin, :host, :base, :segments, :secure?]
@@ -25,7 +17,17 @@ defmodule Situ.Live.PublicAddress do
           secure?: boolean()
         }
 
-  @doc "Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it is invalid."
+  @doc """
+  Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it
+  is invalid.
+
+      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org:8443/studio/")
+      iex> {public.origin, public.base, public.segments}
+      {"https://lab.example.org:8443", "/studio", ["studio"]}
+      iex> {:error, error} = Situ.Live.PublicAddress.parse("lab.example.org")
+      iex> error.code
+      :bad_public
+  """
   @spec parse(term()) :: {:ok, t() | nil} | {:error, Error.t()}
   def parse(nil), do: {:ok, nil}
 
@@ -43,9 +45,9 @@ defmodule Situ.Live.PublicAddress do
   def parse(other), do: address_error(other)
 
   defp from_parts(scheme, host, port, segments) do
-    usual = URI.default_port(scheme)
+    default_port = URI.default_port(scheme)
     authority = if String.contains?(host, ":"), do: "[#{host}]", else: host
-    origin = "#{scheme}://#{authority}#{if port != usual, do: ":#{port}"}"
+    origin = "#{scheme}://#{authority}#{if port != default_port, do: ":#{port}"}"
     base = Enum.map_join(segments, &("/" <> &1))
 
     %__MODULE__{
@@ -94,9 +96,9 @@ defmodule Situ.Live.PublicAddress do
   @spec strip_base(t() | nil, [String.t()]) :: [String.t()]
   def strip_base(nil, segments), do: segments
 
-  def strip_base(%{segments: own}, segments) do
-    if own != [] and List.starts_with?(segments, own),
-      do: Enum.drop(segments, length(own)),
+  def strip_base(%{segments: base}, segments) do
+    if base != [] and List.starts_with?(segments, base),
+      do: Enum.drop(segments, length(base)),
       else: segments
   end
 end

@@ -1,13 +1,10 @@
 defmodule Situ.Live.Response do
-  @moduledoc """
-  The response of a handler: status, headers, body.
-
-  A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`.
-  The server adds `content-length` or chunking, and the security headers.
-
-      iex> Situ.Live.Response.json(%{"ok" => true}).status
-      200
-  """
+  @moduledoc false
+  # The response of a handler: status, headers, body.
+  #
+  # A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or
+  # `{:chunks, enumerable}`. The server adds `content-length` or chunking, and the security
+  # headers.
   alias Situ.Live.{ContentType, Request}
 
   defstruct status: 200, headers: [], body: ""
@@ -26,7 +23,12 @@ defmodule Situ.Live.Response do
   @spec html(iodata(), 100..599) :: t()
   def html(html, status \\ 200), do: with_type(status, "text/html; charset=utf-8", html)
 
-  @doc "Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`."
+  @doc """
+  Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`.
+
+      iex> Situ.Live.Response.json(%{"ok" => true}).status
+      200
+  """
   @spec json(term(), 100..599) :: t()
   def json(value, status \\ 200),
     do: with_type(status, "application/json", Situ.JSON.encode(value))
@@ -48,7 +50,8 @@ defmodule Situ.Live.Response do
 
   @doc "Builds a one-line error page."
   @spec error(100..599, String.t()) :: t()
-  def error(status, what \\ ""), do: text([Integer.to_string(status), " ", what, "\n"], status)
+  def error(status, message \\ ""),
+    do: text([Integer.to_string(status), " ", message, "\n"], status)
 
   defp with_type(status, type, body) do
     %__MODULE__{status: status, headers: [{"content-type", type}], body: body}
@@ -102,7 +105,7 @@ defmodule Situ.Live.Response do
           (non_neg_integer(), non_neg_integer() ->
              body())
         ) :: t()
-  def serve_range(%Request{} = request, size, headers, read) do
+  def serve_range(%Request{} = request, size, headers, body_part) do
     headers = [{"accept-ranges", "bytes"} | headers]
     {_, etag} = List.keyfind(headers, "etag", 0, {"etag", nil})
 
@@ -111,24 +114,24 @@ defmodule Situ.Live.Response do
         %__MODULE__{status: 304, headers: headers}
 
       Request.get_header(request, "if-range") not in [nil, etag] ->
-        %__MODULE__{headers: headers, body: read.(0, size)}
+        %__MODULE__{headers: headers, body: body_part.(0, size)}
 
       true ->
         range_response(
           parse_range(Request.get_header(request, "range"), size),
           size,
           headers,
-          read
+          body_part
         )
     end
   end
 
-  defp range_response(:all, size, headers, read),
-    do: %__MODULE__{headers: headers, body: read.(0, size)}
+  defp range_response(:all, size, headers, body_part),
+    do: %__MODULE__{headers: headers, body: body_part.(0, size)}
 
-  defp range_response({from, to}, size, headers, read) do
+  defp range_response({from, to}, size, headers, body_part) do
     headers = [{"content-range", "bytes #{from}-#{to}/#{size}"} | headers]
-    %__MODULE__{status: 206, headers: headers, body: read.(from, to - from + 1)}
+    %__MODULE__{status: 206, headers: headers, body: body_part.(from, to - from + 1)}
   end
 
   defp range_response(:unsatisfiable, size, _headers, _read) do

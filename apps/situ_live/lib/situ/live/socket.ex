@@ -83,8 +83,8 @@ defmodule Situ.Live.Socket do
 
   defp put_navigation(%__MODULE__{} = socket, kind, opts) do
     to = opts |> Keyword.fetch!(:to) |> local_path!()
-    how = if opts[:replace], do: "replace", else: "push"
-    %{socket | navigation: {kind, %{"to" => to, "kind" => how}}}
+    history = if opts[:replace], do: "replace", else: "push"
+    %{socket | navigation: {kind, %{"to" => to, "kind" => history}}}
   end
 
   defp local_path!("//" <> _ = to),
@@ -136,7 +136,7 @@ defmodule Situ.Live.Socket do
 
   @doc false
   # Clears the contents of a message that was sent.
-  def __sent__(%__MODULE__{assigns: assigns} = socket) do
+  def __clear_message__(%__MODULE__{assigns: assigns} = socket) do
     assigns =
       case assigns do
         %{streams: streams} ->

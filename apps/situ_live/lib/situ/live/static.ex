@@ -38,14 +38,14 @@ defmodule Situ.Live.Static do
 
   defp real_path(path), do: resolve_links(Path.split(Path.expand(path)), "/", 0)
   defp resolve_links(_, _, links) when links > 16, do: :error
-  defp resolve_links([], done, _), do: {:ok, done}
+  defp resolve_links([], resolved, _), do: {:ok, resolved}
 
-  defp resolve_links([part | rest], done, links) do
-    path = Path.join(done, part)
+  defp resolve_links([part | rest], resolved, links) do
+    path = Path.join(resolved, part)
 
     case File.read_link(path) do
       {:ok, target} ->
-        resolve_links(Path.split(Path.expand(target, done)) ++ rest, "/", links + 1)
+        resolve_links(Path.split(Path.expand(target, resolved)) ++ rest, "/", links + 1)
 
       {:error, :einval} ->
         resolve_links(rest, path, links)
@@ -57,10 +57,10 @@ defmodule Situ.Live.Static do
 
   # If the folder also contains a compressed copy (app.js.gz), clients that accept gzip receive it.
   defp file_response(request, path, opts) do
-    accepts = to_string(Request.get_header(request, "accept-encoding"))
+    encodings = to_string(Request.get_header(request, "accept-encoding"))
     range? = Request.get_header(request, "range") != nil
 
-    if not range? and String.contains?(accepts, "gzip") and File.regular?(path <> ".gz") do
+    if not range? and String.contains?(encodings, "gzip") and File.regular?(path <> ".gz") do
       request
       |> Response.file(path <> ".gz", [type: ContentType.content_type(path)] ++ opts)
       |> Response.put_header("content-encoding", "gzip")

@@ -28,8 +28,8 @@ defmodule Situ.Live.Test do
   @spec mount(module(), keyword()) :: t() | {:error, {atom(), String.t()}}
   def mount(view, opts \\ []) do
     path = Keyword.get(opts, :path, "/")
-    own = {:live, URI.parse(path).path, view, action: opts[:action]}
-    routes = Route.compile([own | Keyword.get(opts, :routes, [])])
+    own_route = {:live, URI.parse(path).path, view, action: opts[:action]}
+    routes = Route.compile([own_route | Keyword.get(opts, :routes, [])])
 
     config = %Endpoint{
       ref: make_ref(),
@@ -118,7 +118,7 @@ defmodule Situ.Live.Test do
   defp fetch_elements!(page, selector) do
     case find_elements(page, selector) do
       [] -> raise ArgumentError, "no element matches #{inspect(selector)} in\n" <> render(page)
-      found -> found
+      elements -> elements
     end
   end
 
@@ -160,9 +160,12 @@ defmodule Situ.Live.Test do
   end
 
   defp event_values(attributes, value) do
-    own = for {"phx-value-" <> name, text} <- attributes, into: %{}, do: {name, text}
-    own = if attributes["value"], do: Map.put(own, "value", attributes["value"]), else: own
-    Map.merge(own, value)
+    values = for {"phx-value-" <> name, text} <- attributes, into: %{}, do: {name, text}
+
+    values =
+      if attributes["value"], do: Map.put(values, "value", attributes["value"]), else: values
+
+    Map.merge(values, value)
   end
 
   @doc "Sends a form's `phx-change` with fields (nested maps of strings); `target:` is the path of the changed field."

@@ -45,8 +45,8 @@ defmodule Situ.Live.ViewLifecycle do
   end
 
   @spec render_view(Socket.t(), :all | :changed) :: Rendered.t()
-  def render_view(%Socket{} = socket, what) do
-    assigns = if what == :all, do: %{socket.assigns | __changed__: nil}, else: socket.assigns
+  def render_view(%Socket{} = socket, scope) do
+    assigns = if scope == :all, do: %{socket.assigns | __changed__: nil}, else: socket.assigns
     add_flow_hook(socket, socket.view.render(assigns))
   end
 

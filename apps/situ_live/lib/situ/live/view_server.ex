@@ -157,7 +157,7 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp handle_message("cids_destroyed", %{"cids" => cids}, ref, state) when is_list(cids) do
-    send_reply(state, ref, "ok", %{"cids" => cids -- Diff.shown_cids(state.memory, cids)})
+    send_reply(state, ref, "ok", %{"cids" => cids -- Diff.visible_cids(state.memory, cids)})
     {:noreply, state}
   end
 
@@ -227,30 +227,30 @@ defmodule Situ.Live.ViewServer do
 
   defp ack_event, do: ["situ:ack", %{}]
 
-  defp take_diff(%{socket: socket} = state, what) do
-    {diff, memory} = diff_tree(socket, state.memory, what)
+  defp take_diff(%{socket: socket} = state, scope) do
+    {diff, memory} = diff_tree(socket, state.memory, scope)
 
     diff =
       diff
       |> put_if("e", socket.events != [], fn -> Enum.reverse(socket.events) end)
       |> put_if("r", socket.reply != nil, fn -> socket.reply end)
-      |> put_if("t", title_changed?(socket, what), fn -> socket.assigns.page_title end)
+      |> put_if("t", title_changed?(socket, scope), fn -> socket.assigns.page_title end)
 
-    {diff, %{state | socket: Socket.__sent__(socket), memory: memory}}
+    {diff, %{state | socket: Socket.__clear_message__(socket), memory: memory}}
   end
 
   defp diff_tree(%{assigns: %{__changed__: changed}}, memory, :changed) when changed == %{},
     do: {%{}, memory}
 
-  defp diff_tree(socket, memory, what) do
-    case Diff.diff_tree(ViewLifecycle.render_view(socket, what), memory) do
+  defp diff_tree(socket, memory, scope) do
+    case Diff.diff_tree(ViewLifecycle.render_view(socket, scope), memory) do
       :stale -> Diff.diff_tree(ViewLifecycle.render_view(socket, :all), memory)
       result -> result
     end
   end
 
-  defp title_changed?(%{assigns: %{page_title: title} = assigns}, what) when is_binary(title),
-    do: what == :all or is_map_key(assigns.__changed__, :page_title)
+  defp title_changed?(%{assigns: %{page_title: title} = assigns}, scope) when is_binary(title),
+    do: scope == :all or is_map_key(assigns.__changed__, :page_title)
 
   defp title_changed?(_, _), do: false
 
@@ -260,8 +260,8 @@ defmodule Situ.Live.ViewServer do
   defp follow_navigation(state, nil), do: {:noreply, state}
 
   defp follow_navigation(state, {:live_patch, %{"to" => to} = target}) do
-    outward = to_public_path(state, target)
-    send_message(state, nil, [state.join_ref, nil, state.topic, "live_patch", outward])
+    public_target = to_public_path(state, target)
+    send_message(state, nil, [state.join_ref, nil, state.topic, "live_patch", public_target])
 
     case ViewLifecycle.fetch_route(state.config, to) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->
@@ -274,8 +274,16 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp follow_navigation(state, {kind, target}) do
-    outward = to_public_path(state, target)
-    send_message(state, nil, [state.join_ref, nil, state.topic, Atom.to_string(kind), outward])
+    public_target = to_public_path(state, target)
+
+    send_message(state, nil, [
+      state.join_ref,
+      nil,
+      state.topic,
+      Atom.to_string(kind),
+      public_target
+    ])
+
     {:noreply, state}
   end
 

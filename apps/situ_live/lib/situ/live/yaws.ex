@@ -58,16 +58,16 @@ defmodule Situ.Live.Yaws do
   # it. Other users of the machine could place their own file there. It is therefore given a private folder in which
   # it cannot write that file, and falls back to the module that it already has.
   defp without_generated_code(fun) do
-    home = Error.unwrap!(Situ.TempFolder.create_folder("yaws"))
-    before = System.get_env("YAWSHOME")
-    File.mkdir_p!(Path.join(home, ".yaws/yaws/situ/yaws_dynopts.erl"))
-    System.put_env("YAWSHOME", home)
+    folder = Error.unwrap!(Situ.TempFolder.create_folder("yaws"))
+    previous = System.get_env("YAWSHOME")
+    File.mkdir_p!(Path.join(folder, ".yaws/yaws/situ/yaws_dynopts.erl"))
+    System.put_env("YAWSHOME", folder)
 
     try do
       fun.()
     after
-      if before, do: System.put_env("YAWSHOME", before), else: System.delete_env("YAWSHOME")
-      Situ.TempFolder.remove_folder(home)
+      if previous, do: System.put_env("YAWSHOME", previous), else: System.delete_env("YAWSHOME")
+      Situ.TempFolder.remove_folder(folder)
     end
   end
 
@@ -84,11 +84,18 @@ defmodule Situ.Live.Yaws do
   end
 
   # `without_generated_code/1` causes the message "Cannot write".
-  @rude ["Unhandled reply", "Invalid", "Expected origin", "Unsupported", "No key", "Unmasked"] ++
-          ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
+  @client_errors [
+                   "Unhandled reply",
+                   "Invalid",
+                   "Expected origin",
+                   "Unsupported",
+                   "No key",
+                   "Unmasked"
+                 ] ++
+                   ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
 
   defp client_error?(%{msg: {:report, %{label: {:error_logger, _}, format: format}}}),
-    do: String.starts_with?(to_string(format), @rude)
+    do: String.starts_with?(to_string(format), @client_errors)
 
   defp client_error?(_), do: false
 
@@ -119,7 +126,7 @@ defmodule Situ.Live.Yaws do
          :ok <- check_port_free(ip, port) do
       case :gen_server.call(:yaws_server, {:add_sconf, -1, sconf}, 90_000) do
         {:ok, ^sconf} -> {:error, port_error(port, :eaddrinuse)}
-        {:ok, added} -> {:ok, added}
+        {:ok, listener} -> {:ok, listener}
         {:error, reason} -> {:error, port_error(port, reason)}
       end
     end

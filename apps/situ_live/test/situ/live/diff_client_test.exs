@@ -46,7 +46,7 @@ defmodule Situ.Live.DiffClientTest do
         {diff, memory} = diff(socket, what, memory)
         html = socket |> ViewLifecycle.render_view(:all) |> Html.to_html()
         line = %{"first" => i == 1, "diff" => diff, "html" => html}
-        next = socket |> Socket.__sent__() |> Socket.assign(Enum.take_random(state(), 4))
+        next = socket |> Socket.__clear_message__() |> Socket.assign(Enum.take_random(state(), 4))
         {line, {next, memory}}
       end)
 

@@ -1,24 +1,25 @@
 defmodule Situ.Cluster.Log.Folder do
-  @moduledoc """
-  Keeps the log of one machine in a folder, without a server. Any number of OS processes may write to it, and each
-  may be killed at any time.
-
-  An entry is a file named by its number. The file is written under a temporary name and then hard-linked to its final
-  name. The link fails if that name exists, so the file system itself provides the compare-and-set. A linked entry
-  survives a kill of the process and, with `sync: true`, also a power failure.
-
-      root/streams/<subject>/<thousand>/<number>
-      root/keys/<subject>/<number>                 the last two entries
-      root/tmp/                                    entries being written
-
-  A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in its file `name`.
-
-  Network file systems do not support this reliably. Use NATS for several machines.
-
-  ## Options
-
-    * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
-  """
+  @moduledoc false
+  # Keeps the log of one machine in a folder, without a server. Any number of OS processes may
+  # write to it, and each may be killed at any time.
+  #
+  # An entry is a file named by its number. The file is written under a temporary name and then
+  # hard-linked to its final name. The link fails if that name exists, so the file system itself
+  # provides the compare-and-set. A linked entry survives a kill of the process and, with `sync:
+  # true`, also a power failure.
+  #
+  #     root/streams/<subject>/<thousand>/<number>
+  #     root/keys/<subject>/<number>                 the last two entries
+  #     root/tmp/                                    entries being written
+  #
+  # A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in
+  # its file `name`.
+  #
+  # Network file systems do not support this reliably. Use NATS for several machines.
+  #
+  # Options:
+  #
+  #   * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
   @behaviour Situ.Cluster.Log
 
   alias Situ.{Error, Options}
@@ -59,9 +60,9 @@ defmodule Situ.Cluster.Log.Folder do
     tmp = Path.join([log.root, "tmp", unique_name()])
 
     with :ok <- write_file(log, tmp, Entry.encode(entry)),
-         answer <- link_entry(tmp, target, subject),
+         result <- link_entry(tmp, target, subject),
          _ <- File.rm(tmp) do
-      case answer do
+      case result do
         :ok -> confirm_link(log, subject, expected, target)
         {:error, :eexist} -> resolve_conflict(log, subject, expected + 1, entry)
         {:error, reason} -> {:error, file_error(target, reason)}
@@ -113,15 +114,15 @@ defmodule Situ.Cluster.Log.Folder do
   end
 
   @impl true
-  def read(%__MODULE__{} = log, subject, from, most) do
+  def read(%__MODULE__{} = log, subject, from, max) do
     case fetch_entry(log, subject, from) do
       {:ok, %Entry{} = entry} ->
-        if most == 1,
+        if max == 1,
           do: {:ok, [entry]},
-          else: read_following(log, subject, from + 1, most - 1, [entry])
+          else: read_following(log, subject, from + 1, max - 1, [entry])
 
       {:ok, nil} ->
-        read_from_first(log, subject, from, most)
+        read_from_first(log, subject, from, max)
 
       error ->
         error
@@ -130,10 +131,10 @@ defmodule Situ.Cluster.Log.Folder do
 
   defp read_following(_log, _subject, _seq, 0, entries), do: {:ok, Enum.reverse(entries)}
 
-  defp read_following(log, subject, seq, most, entries) do
+  defp read_following(log, subject, seq, max, entries) do
     case fetch_entry(log, subject, seq) do
       {:ok, %Entry{} = entry} ->
-        read_following(log, subject, seq + 1, most - 1, [entry | entries])
+        read_following(log, subject, seq + 1, max - 1, [entry | entries])
 
       {:ok, nil} ->
         {:ok, Enum.reverse(entries)}
@@ -144,9 +145,9 @@ defmodule Situ.Cluster.Log.Folder do
   end
 
   # The first entries may have been trimmed.
-  defp read_from_first(log, subject, from, most) do
+  defp read_from_first(log, subject, from, max) do
     case first_number(log, subject) do
-      first when is_integer(first) and first > from -> read(log, subject, first, most)
+      first when is_integer(first) and first > from -> read(log, subject, first, max)
       _ -> {:ok, []}
     end
   end
@@ -169,14 +170,14 @@ defmodule Situ.Cluster.Log.Folder do
 
   @impl true
   def subjects(%__MODULE__{} = log) do
-    found =
+    subjects =
       for {kind, folder} <- [stream: "streams", key: "keys"],
           folder = Path.join(log.root, folder),
           name <- list_folder(folder),
           subject = decode_subject(folder, name),
           do: describe_subject(log, {kind, subject})
 
-    {:ok, found}
+    {:ok, subjects}
   end
 
   defp decode_subject(_folder, "s-" <> name), do: URI.decode(name)
@@ -262,11 +263,11 @@ defmodule Situ.Cluster.Log.Folder do
     end
   end
 
-  defp read_all(io, read) do
+  defp read_all(io, acc) do
     case :file.read(io, 262_144) do
-      {:ok, bytes} when byte_size(bytes) == 262_144 -> read_all(io, [read, bytes])
-      {:ok, bytes} -> IO.iodata_to_binary([read, bytes])
-      _ -> IO.iodata_to_binary(read)
+      {:ok, bytes} when byte_size(bytes) == 262_144 -> read_all(io, [acc, bytes])
+      {:ok, bytes} -> IO.iodata_to_binary([acc, bytes])
+      _ -> IO.iodata_to_binary(acc)
     end
   end
 
@@ -292,8 +293,8 @@ defmodule Situ.Cluster.Log.Folder do
 
   # A folder named by a hash stores the name of its subject in a file.
   defp write_name_file({kind, subject}, target) do
-    up = if kind == :key, do: 1, else: 2
-    folder = Enum.reduce(1..up, target, fn _, path -> Path.dirname(path) end)
+    levels = if kind == :key, do: 1, else: 2
+    folder = Enum.reduce(1..levels, target, fn _, path -> Path.dirname(path) end)
 
     if String.starts_with?(Path.basename(folder), "h-"),
       do: File.write(Path.join(folder, "name"), subject),

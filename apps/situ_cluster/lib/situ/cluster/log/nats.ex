@@ -1,24 +1,24 @@
 defmodule Situ.Cluster.Log.Nats do
-  @moduledoc """
-  Keeps the log of several machines and sites in NATS JetStream (a `nats-server -js`, version 2.9 or newer, or a
-  cluster).
-
-      {:ok, log} = Situ.Cluster.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
-
-  Each stream has its own JetStream stream, which its first entry creates: `SITU_S_NAME` (subject `situ.s.NAME`).
-  Characters of a name other than letters and digits are written as `=HEX`, and a name of more than 200 characters as
-  its SHA-256. All keys share one JetStream stream, `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). A write
-  is conditional on `Nats-Expected-Last-Sequence` or, for keys, `Nats-Expected-Last-Subject-Sequence`. The header
-  `Situ-Op` identifies the write. If the server is lost, the connection tries the servers of the list in turn. Until it
-  is connected again, all calls return `{:error, %Situ.Error{code: :log_away}}`, and callers may repeat them unchanged.
-
-  The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A stream costs its server
-  two open files and about 80 KB of memory. Raise the server's limit of open files (`LimitNOFILE`) before you
-  log several thousand streams.
-
-  ## Options
-
-  """
+  @moduledoc false
+  # Keeps the log of several machines and sites in NATS JetStream (a `nats-server -js`, version
+  # 2.9 or newer, or a cluster).
+  #
+  #     {:ok, log} = Situ.Cluster.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
+  #
+  # Each stream has its own JetStream stream, which its first entry creates: `SITU_S_NAME`
+  # (subject `situ.s.NAME`). Characters of a name other than letters and digits are written as
+  # `=HEX`, and a name of more than 200 characters as its SHA-256. All keys share one JetStream
+  # stream, `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). A write is conditional on
+  # `Nats-Expected-Last-Sequence` or, for keys, `Nats-Expected-Last-Subject-Sequence`. The header
+  # `Situ-Op` identifies the write. If the server is lost, the connection tries the servers of the
+  # list in turn. Until it is connected again, all calls return `{:error, %Situ.Error{code:
+  # :log_away}}`, and callers may repeat them unchanged.
+  #
+  # The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A
+  # stream costs its server two open files and about 80 KB of memory. Raise the server's limit of
+  # open files (`LimitNOFILE`) before you log several thousand streams.
+  #
+  # Options:
   # Why each stream has its own JetStream stream, with measurements:
   # see docs/adr/0113-the-log-offers-one-conditional-append.md.
   @behaviour Situ.Cluster.Log
@@ -72,7 +72,6 @@ defmodule Situ.Cluster.Log.Nats do
       doc: "Wait for a server that is not running yet, instead of returning an error."
     ]
   ]
-  @moduledoc @moduledoc <> Options.docs(@schema)
 
   @enforce_keys [:connection, :api, :stream, :timeout, :config, :prepared]
   defstruct @enforce_keys
@@ -91,7 +90,7 @@ defmodule Situ.Cluster.Log.Nats do
         }
 
   # Space for the headers of an entry and for those added by the server.
-  @reserve 8_192
+  @header_space 8_192
 
   @impl true
   def connect(address, opts) do
@@ -99,30 +98,30 @@ defmodule Situ.Cluster.Log.Nats do
          {:ok, servers, login} <- Servers.parse(address),
          {:ok, login} <- Servers.resolve_login(login, opts[:credentials]),
          :ok <- Servers.validate_domain(opts[:domain]),
-         own? = opts[:domain] == nil,
+         local? = opts[:domain] == nil,
          settings = [
            servers: servers,
            login: fn -> login end,
            tls: opts[:tls],
-           jetstream: own?,
+           jetstream: local?,
            wait: opts[:wait]
          ],
          {:ok, connection} <- start_connection(settings),
          log = %__MODULE__{
            connection: connection,
-           api: if(own?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
+           api: if(local?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
            stream: opts[:stream],
            timeout: opts[:timeout],
            config: Layout.stream_config(opts),
            prepared: :atomics.new(1, [])
          },
-         :ok <- log |> prepare_once() |> allow_away(opts[:wait]) do
+         :ok <- log |> prepare_once() |> ignore_unreachable(opts[:wait]) do
       {:ok, log}
     end
   end
 
-  defp allow_away({:error, %Error{code: :log_away}}, true), do: :ok
-  defp allow_away(answer, _wait?), do: answer
+  defp ignore_unreachable({:error, %Error{code: :log_away}}, true), do: :ok
+  defp ignore_unreachable(reply, _wait?), do: reply
 
   # The streams of the server are prepared once, at the first successful call.
   defp prepare_once(%__MODULE__{prepared: prepared} = log) do
@@ -150,8 +149,8 @@ defmodule Situ.Cluster.Log.Nats do
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
     with :ok <- prepare_once(log),
          :ok <- check_size(log, entry),
-         {:ok, answer} <- publish_entry(log, subject, expected, entry) do
-      handle_append_reply(answer, log, subject, expected, entry)
+         {:ok, reply} <- publish_entry(log, subject, expected, entry) do
+      handle_append_reply(reply, log, subject, expected, entry)
     end
   end
 
@@ -167,7 +166,7 @@ defmodule Situ.Cluster.Log.Nats do
     else
       # The stream exists, but currently has no leader.
       {:ok, %{"config" => _}} -> Api.reject_silence(:silent)
-      answer -> answer
+      reply -> reply
     end
   end
 
@@ -208,7 +207,7 @@ defmodule Situ.Cluster.Log.Nats do
     do: {:ok, seq}
 
   defp handle_append_reply(_answer, _log, _subject, _expected, _entry),
-    do: {:error, Api.away_error("the reply is incomplete")}
+    do: {:error, Api.unreachable_error("the reply is incomplete")}
 
   # All its entries have expired, so the stream is empty, but its numbers continue.
   defp find_last_number(log, subject) do
@@ -245,13 +244,13 @@ defmodule Situ.Cluster.Log.Nats do
   def first(%__MODULE__{} = log, subject, from),
     do: fetch_message(log, subject, %{"seq" => from, "next_by_subj" => subject_name(subject)})
 
-  defp fetch_message(log, subject, question) do
-    body = JSON.encode(question)
+  defp fetch_message(log, subject, query) do
+    body = JSON.encode(query)
 
     with :ok <- prepare_once(log),
-         {:ok, answer} <-
+         {:ok, reply} <-
            Api.request_json(log, log.api <> "STREAM.MSG.GET." <> stream_name(log, subject), body),
-         do: decode_reply(answer)
+         do: decode_reply(reply)
   end
 
   defp decode_reply(%{"message" => message}), do: decode_message(message)
@@ -260,7 +259,7 @@ defmodule Situ.Cluster.Log.Nats do
     do: {:ok, nil}
 
   defp decode_reply(%{"error" => error}), do: {:error, Api.server_error(error)}
-  defp decode_reply(_other), do: {:error, Api.away_error("the reply is incomplete")}
+  defp decode_reply(_other), do: {:error, Api.unreachable_error("the reply is incomplete")}
 
   defp decode_message(message) do
     with {:ok, head} <- Base.decode64(message["hdrs"] || ""),
@@ -273,7 +272,7 @@ defmodule Situ.Cluster.Log.Nats do
 
       {:ok, build_entry(headers, data, message["seq"])}
     else
-      _ -> {:error, Api.away_error("the reply is not valid Base64")}
+      _ -> {:error, Api.unreachable_error("the reply is not valid Base64")}
     end
   end
 
@@ -284,21 +283,21 @@ defmodule Situ.Cluster.Log.Nats do
   end
 
   @impl true
-  def read(%__MODULE__{} = log, {:stream, _} = subject, 1, most) do
+  def read(%__MODULE__{} = log, {:stream, _} = subject, 1, max) do
     # The server does not reply to direct reads of a stream that does not exist.
     case Api.stream_info(log, stream_name(log, subject)) do
-      {:ok, _info} -> read_entries(log, subject, 1, most, [])
+      {:ok, _info} -> read_entries(log, subject, 1, max, [])
       {:error, %Error{code: :no_stream}} -> {:ok, []}
       {:error, error} -> {:error, error}
     end
   end
 
-  def read(%__MODULE__{} = log, subject, from, most),
-    do: read_entries(log, subject, from, most, [])
+  def read(%__MODULE__{} = log, subject, from, max),
+    do: read_entries(log, subject, from, max, [])
 
   defp read_entries(_log, _subject, _from, 0, entries), do: {:ok, Enum.reverse(entries)}
 
-  defp read_entries(log, subject, from, most, entries) do
+  defp read_entries(log, subject, from, max, entries) do
     body = JSON.encode(%{"seq" => from, "next_by_subj" => subject_name(subject)})
     target = log.api <> "DIRECT.GET." <> stream_name(log, subject)
 
@@ -307,17 +306,17 @@ defmodule Situ.Cluster.Log.Nats do
         {:ok, Enum.reverse(entries)}
 
       {:ok, %{status: "503"}} ->
-        {:error, Api.away_error("JetStream is not responding")}
+        {:error, Api.unreachable_error("JetStream is not responding")}
 
       {:ok, %{headers: %{"Nats-Sequence" => seq} = headers, data: data}} ->
         entry = build_entry(headers, data, String.to_integer(seq))
-        read_entries(log, subject, entry.seq + 1, most - 1, [entry | entries])
+        read_entries(log, subject, entry.seq + 1, max - 1, [entry | entries])
 
       {:ok, _other} ->
-        {:error, Api.away_error("the reply is incomplete")}
+        {:error, Api.unreachable_error("the reply is incomplete")}
 
       {:error, reason} ->
-        {:error, Api.away_error(reason)}
+        {:error, Api.unreachable_error(reason)}
     end
   end
 
@@ -329,7 +328,7 @@ defmodule Situ.Cluster.Log.Nats do
       case Api.request_json(log, log.api <> "STREAM.PURGE." <> stream_name(log, subject), body) do
         {:ok, %{"success" => true}} -> :ok
         {:ok, %{"error" => error}} -> {:error, Api.server_error(error)}
-        {:ok, _} -> {:error, Api.away_error("the reply is incomplete")}
+        {:ok, _} -> {:error, Api.unreachable_error("the reply is incomplete")}
         {:error, error} -> {:error, error}
       end
     else
@@ -355,7 +354,7 @@ defmodule Situ.Cluster.Log.Nats do
   @impl true
   def limit(%__MODULE__{} = log) do
     payload = (Connection.server_info(log.connection) || %{})["max_payload"] || 1_048_576
-    max(payload - @reserve, 1_024)
+    max(payload - @header_space, 1_024)
   end
 
   @impl true

@@ -3,7 +3,7 @@ defmodule Situ.Link.Connection.Catalogue do
   # Keeps the streams that a server has announced, and the callers waiting for the first announcement.
   alias Situ.Error
 
-  defstruct known: nil, waiting: []
+  defstruct streams: nil, waiters: []
 
   @type t :: %__MODULE__{}
 
@@ -15,26 +15,26 @@ defmodule Situ.Link.Connection.Catalogue do
   (`expire_waiter/3`).
   """
   @spec add_waiter(t(), GenServer.from(), non_neg_integer()) :: t()
-  def add_waiter(%__MODULE__{known: nil} = catalogue, from, ms) do
+  def add_waiter(%__MODULE__{streams: nil} = catalogue, from, ms) do
     timer = Process.send_after(self(), {:waited, from}, ms)
-    %{catalogue | waiting: [{from, timer} | catalogue.waiting]}
+    %{catalogue | waiters: [{from, timer} | catalogue.waiters]}
   end
 
-  def add_waiter(%__MODULE__{known: known} = catalogue, from, _ms) do
-    GenServer.reply(from, {:ok, known})
+  def add_waiter(%__MODULE__{streams: streams} = catalogue, from, _ms) do
+    GenServer.reply(from, {:ok, streams})
     catalogue
   end
 
   @doc "Merges a server's list of streams into the catalogue and skips invalid entries."
   @spec merge_streams(t(), [term()]) :: t()
   def merge_streams(%__MODULE__{} = catalogue, streams) do
-    found =
+    announced =
       for %{"name" => name, "type" => type} when is_binary(name) and is_binary(type) <- streams,
           into: %{},
           do: {name, type}
 
-    known = Map.merge(catalogue.known || %{}, found)
-    reply_to_waiters(%{catalogue | known: known}, {:ok, known})
+    streams = Map.merge(catalogue.streams || %{}, announced)
+    reply_to_waiters(%{catalogue | streams: streams}, {:ok, streams})
   end
 
   @doc "Replies with `error` to all waiting callers."
@@ -43,21 +43,21 @@ defmodule Situ.Link.Connection.Catalogue do
     do: reply_to_waiters(catalogue, {:error, error})
 
   defp reply_to_waiters(catalogue, reply) do
-    for {from, timer} <- catalogue.waiting do
+    for {from, timer} <- catalogue.waiters do
       _ = Process.cancel_timer(timer)
       GenServer.reply(from, reply)
     end
 
-    %{catalogue | waiting: []}
+    %{catalogue | waiters: []}
   end
 
   @doc "Replies with `error` to a caller whose timeout has passed."
   @spec expire_waiter(t(), GenServer.from(), Error.t()) :: t()
   def expire_waiter(%__MODULE__{} = catalogue, from, error) do
-    case List.keytake(catalogue.waiting, from, 0) do
-      {_, waiting} ->
+    case List.keytake(catalogue.waiters, from, 0) do
+      {_, waiters} ->
         GenServer.reply(from, {:error, error})
-        %{catalogue | waiting: waiting}
+        %{catalogue | waiters: waiters}
 
       nil ->
         catalogue

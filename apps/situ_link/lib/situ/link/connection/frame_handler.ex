@@ -17,7 +17,7 @@ defmodule Situ.Link.Connection.FrameHandler do
           {:more, channel} ->
             {:ok, send_credit(state, channel)}
 
-          {:whole, body, channel} ->
+          {:complete, body, channel} ->
             handle_joined_batch(Frame.decode(body), byte_size(bytes), put_channel(state, channel))
 
           {:error, why} ->
@@ -77,7 +77,7 @@ defmodule Situ.Link.Connection.FrameHandler do
 
             {:ok, put_channel(state, channel)}
 
-          {:again, channel} ->
+          {:duplicate, channel} ->
             {:ok, send_credit(state, channel)}
 
           {:error, why} ->

@@ -10,9 +10,9 @@ defmodule Situ.Link.Connection.LinkInfo do
 
     %{
       connected?: state.socket != nil,
-      connections: state.connected,
+      connections: state.connections,
       error: state.error,
-      bytes: state.received,
+      bytes: state.bytes,
       offset: ClockEstimate.offset_at(state.clock, now),
       drift: state.clock.drift,
       uncertainty: ClockEstimate.uncertainty_at(state.clock, now),

@@ -2,16 +2,16 @@ defmodule Situ.Link.Connection.Positions do
   @moduledoc false
   # Tracks the position of each stream of a link. `saved` holds the positions already written to the file.
   # `confirmed` holds the positions confirmed by the pipeline (nil before the first one), which take precedence over
-  # merely delivered messages. `left` holds the positions of streams that are no longer subscribed.
+  # merely delivered messages. `retained` holds the positions of streams that are no longer subscribed.
   alias Situ.Error
   alias Situ.Link.Position
 
-  defstruct saved: %{}, confirmed: %{}, left: %{}
+  defstruct saved: %{}, confirmed: %{}, retained: %{}
 
   @type t :: %__MODULE__{
           saved: Position.t(),
           confirmed: %{String.t() => Situ.Time.t() | nil},
-          left: Position.t()
+          retained: Position.t()
         }
 
   @doc "Makes the position of a stream its last confirmed message."
@@ -28,18 +28,22 @@ defmodule Situ.Link.Connection.Positions do
   def retain_position(%__MODULE__{} = positions, _name, nil), do: positions
 
   def retain_position(%__MODULE__{} = positions, name, time),
-    do: %{positions | left: Map.put(positions.left, name, time)}
+    do: %{positions | retained: Map.put(positions.retained, name, time)}
 
   @doc "Writes changed positions to the file. `taken` holds the positions of the subscribed streams."
   @spec save_changes(t(), Path.t(), [{String.t(), Situ.Time.t() | nil}]) ::
           {:ok | {:error, Error.t()}, t()}
-  def save_changes(%__MODULE__{} = positions, path, taken) do
-    known = positions.left |> Map.merge(reject_nil_times(taken)) |> Map.merge(positions.confirmed)
-    now = Map.merge(positions.saved, reject_nil_times(known))
+  def save_changes(%__MODULE__{} = positions, path, consumed) do
+    current =
+      positions.retained
+      |> Map.merge(reject_nil_times(consumed))
+      |> Map.merge(positions.confirmed)
 
-    if now == positions.saved,
+    updated = Map.merge(positions.saved, reject_nil_times(current))
+
+    if updated == positions.saved,
       do: {:ok, positions},
-      else: {Position.save(path, now), %{positions | saved: now}}
+      else: {Position.save(path, updated), %{positions | saved: updated}}
   end
 
   defp reject_nil_times(times),

@@ -11,20 +11,20 @@ defmodule Situ.Link.Nats.Connection do
   require Logger
 
   # Space for the headers of requests and replies, in addition to the payload.
-  @headers 65_536
-  @again_ms 100
+  @header_space 65_536
+  @retry_ms 100
 
   defstruct [
     :servers,
-    :first,
+    :first_server,
     :opts,
     :socket,
     :transport,
     :inbox,
     :info,
-    :told,
+    :logged,
     buffer: "",
-    number: 0,
+    id: 0,
     pending: %{}
   ]
 
@@ -59,7 +59,7 @@ defmodule Situ.Link.Nats.Connection do
 
   @impl true
   def init(opts) do
-    state = %__MODULE__{servers: opts[:servers], first: hd(opts[:servers]), opts: opts}
+    state = %__MODULE__{servers: opts[:servers], first_server: hd(opts[:servers]), opts: opts}
 
     case connect_any(state, length(state.servers), nil) do
       {:ok, state} ->
@@ -77,31 +77,31 @@ defmodule Situ.Link.Nats.Connection do
 
   # Waits for a server that is not running yet, in the same way as for a lost one.
   defp start_waiting(state, error) do
-    Process.send_after(self(), :connect, @again_ms)
+    Process.send_after(self(), :connect, @retry_ms)
     {:ok, warn_waiting(state, error)}
   end
 
   # Logs each reason once, and the end of the wait once.
-  defp warn_waiting(%{told: told} = state, %Error{what: told}), do: state
+  defp warn_waiting(%{logged: logged} = state, %Error{what: logged}), do: state
 
   defp warn_waiting(state, %Error{} = error) do
     Logger.warning("waiting for NATS: #{Exception.message(error)}")
-    %{state | told: error.what}
+    %{state | logged: error.what}
   end
 
-  defp log_connected(%{told: nil} = state), do: state
+  defp log_connected(%{logged: nil} = state), do: state
 
   defp log_connected(state) do
     Logger.warning("connected to the NATS server at #{server_name(state)}")
-    %{state | told: nil}
+    %{state | logged: nil}
   end
 
   defp connect_any(_state, 0, error), do: {:error, error}
 
-  defp connect_any(state, left, _error) do
+  defp connect_any(state, tries, _error) do
     case connect_next(state) do
       {:ok, state} -> {:ok, state}
-      {:error, error} -> connect_any(next_server(state), left - 1, error)
+      {:error, error} -> connect_any(next_server(state), tries - 1, error)
     end
   end
 
@@ -114,17 +114,17 @@ defmodule Situ.Link.Nats.Connection do
     do: {:reply, {:error, :down}, state}
 
   def handle_call({:request, subject, headers, data, timeout}, from, state) do
-    number = state.number + 1
-    reply = "#{state.inbox}.#{number}"
+    id = state.id + 1
+    reply = "#{state.inbox}.#{id}"
 
     case state.transport.send(
            state.socket,
            Protocol.encode_publish(subject, reply, headers, data)
          ) do
       :ok ->
-        timer = Process.send_after(self(), {:late, number}, timeout)
-        pending = Map.put(state.pending, number, {from, timer})
-        {:noreply, %{state | number: number, pending: pending}}
+        timer = Process.send_after(self(), {:late, id}, timeout)
+        pending = Map.put(state.pending, id, {from, timer})
+        {:noreply, %{state | id: id, pending: pending}}
 
       {:error, _} ->
         {:reply, {:error, :down}, handle_disconnect(state)}
@@ -153,8 +153,8 @@ defmodule Situ.Link.Nats.Connection do
       when kind in [:tcp_error, :ssl_error],
       do: {:noreply, handle_disconnect(state)}
 
-  def handle_info({:late, number}, state) do
-    {entry, pending} = Map.pop(state.pending, number)
+  def handle_info({:late, id}, state) do
+    {entry, pending} = Map.pop(state.pending, id)
     with {from, _timer} <- entry, do: GenServer.reply(from, {:error, :timeout})
     {:noreply, %{state | pending: pending}}
   end
@@ -165,11 +165,11 @@ defmodule Situ.Link.Nats.Connection do
         {:noreply, log_connected(state)}
 
       {:error, error} ->
-        Process.send_after(self(), :connect, @again_ms)
+        Process.send_after(self(), :connect, @retry_ms)
         state = next_server(state)
 
         {:noreply,
-         if(hd(state.servers) == state.first, do: warn_waiting(state, error), else: state)}
+         if(hd(state.servers) == state.first_server, do: warn_waiting(state, error), else: state)}
     end
   end
 
@@ -224,15 +224,15 @@ defmodule Situ.Link.Nats.Connection do
   defp handle_frame({:failure, _text}, state), do: state
   defp handle_frame(_frame, state), do: state
 
-  defp notify_subscriber(state, what) do
-    with pid when pid != nil <- state.opts[:subscriber], do: send(pid, {:nats, self(), what})
+  defp notify_subscriber(state, event) do
+    with pid when pid != nil <- state.opts[:subscriber], do: send(pid, {:nats, self(), event})
     state
   end
 
   defp reply_to_request(message, state) do
-    number = message.subject |> String.split(".") |> List.last() |> Integer.parse()
+    id = message.subject |> String.split(".") |> List.last() |> Integer.parse()
 
-    with {number, ""} <- number, {{from, timer}, pending} <- Map.pop(state.pending, number) do
+    with {id, ""} <- id, {{from, timer}, pending} <- Map.pop(state.pending, id) do
       Process.cancel_timer(timer)
       GenServer.reply(from, {:ok, message})
       %{state | pending: pending}
@@ -265,7 +265,8 @@ defmodule Situ.Link.Nats.Connection do
     end
   end
 
-  defp max_frame_size(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
+  defp max_frame_size(info),
+    do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @header_space
 
   defp server_name(%{servers: [server | _]}), do: Dialer.format_server(server)
 

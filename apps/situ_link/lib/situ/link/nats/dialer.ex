@@ -5,8 +5,8 @@ defmodule Situ.Link.Nats.Dialer do
   alias Situ.Link.Nats.Protocol
   alias Situ.Link.ServerName
 
-  @headers 65_536
-  @first_ms 3_000
+  @max_frame 65_536
+  @timeout_ms 3_000
 
   @type server :: {String.t(), :inet.port_number()}
   @type dialed :: %{
@@ -32,7 +32,7 @@ defmodule Situ.Link.Nats.Dialer do
     ]
 
     with {:ok, socket} <-
-           check_connected(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
+           check_connected(:gen_tcp.connect(to_charlist(host), port, options, @timeout_ms), state),
          {:ok, info, rest} <- socket |> read_greeting("", state) |> or_close(:gen_tcp, socket),
          :ok <- info |> check_server(state) |> or_close(:gen_tcp, socket),
          {:ok, transport, socket} <-
@@ -51,7 +51,7 @@ defmodule Situ.Link.Nats.Dialer do
     error
   end
 
-  defp or_close(answer, _transport, _socket), do: answer
+  defp or_close(result, _transport, _socket), do: result
 
   @doc "Formats the address of a server as `host:port`."
   @spec format_server(server()) :: String.t()
@@ -68,14 +68,14 @@ defmodule Situ.Link.Nats.Dialer do
      )}
   end
 
-  defp read_greeting(socket, read, state) do
-    with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @first_ms),
-         {:ok, {:info, json}, rest} <- Protocol.parse_frame(read <> bytes, @headers),
+  defp read_greeting(socket, buffer, state) do
+    with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @timeout_ms),
+         {:ok, {:info, json}, rest} <- Protocol.parse_frame(buffer <> bytes, @max_frame),
          {:ok, info} when is_map(info) <- JSON.decode(json) do
       {:ok, info, rest}
     else
-      :more when byte_size(read) < @headers ->
-        read_greeting(socket, read, state)
+      :more when byte_size(buffer) < @max_frame ->
+        read_greeting(socket, buffer, state)
 
       _ ->
         {:error,
@@ -139,7 +139,7 @@ defmodule Situ.Link.Nats.Dialer do
 
         tls = Keyword.merge([verify: :verify_peer] ++ ServerName.tls_options(host), tls)
 
-        check_upgrade(:ssl.connect(socket, tls, @first_ms), state)
+        check_upgrade(:ssl.connect(socket, tls, @timeout_ms), state)
 
       info["tls_required"] == true ->
         {:error,
@@ -189,8 +189,8 @@ defmodule Situ.Link.Nats.Dialer do
          do: check_connected({:error, reason}, state)
   end
 
-  defp await_pong(state, read) do
-    case Protocol.parse_frame(read, @headers) do
+  defp await_pong(state, buffer) do
+    case Protocol.parse_frame(buffer, @max_frame) do
       {:ok, :pong, rest} ->
         {:ok, rest}
 
@@ -204,8 +204,8 @@ defmodule Situ.Link.Nats.Dialer do
         await_pong(state, rest)
 
       :more ->
-        case state.transport.recv(state.socket, 0, @first_ms) do
-          {:ok, bytes} -> await_pong(state, read <> bytes)
+        case state.transport.recv(state.socket, 0, @timeout_ms) do
+          {:ok, bytes} -> await_pong(state, buffer <> bytes)
           {:error, reason} -> check_connected({:error, reason}, state)
         end
 
@@ -215,7 +215,7 @@ defmodule Situ.Link.Nats.Dialer do
     end
   end
 
-  defp reason_text(:timeout), do: "no response within #{div(@first_ms, 1_000)} s"
+  defp reason_text(:timeout), do: "no response within #{div(@timeout_ms, 1_000)} s"
   defp reason_text(:closed), do: "it closed the connection"
   defp reason_text(reason), do: to_string(:inet.format_error(reason))
 end

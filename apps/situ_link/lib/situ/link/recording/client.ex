@@ -11,20 +11,20 @@ defmodule Situ.Link.Recording.Client do
   @registry Situ.Link.Recording.Registry
   @supervisor Situ.Link.Recording.Supervisor
   @idle_ms 60_000
-  @answer_ms 60_000
-  @again_ms 1_000
+  @reply_ms 60_000
+  @retry_ms 1_000
   # The longest reply: one message, or several megabytes of messages.
-  @most_answer 1024 * 1024 * 1024 + 65_536
+  @max_reply 1024 * 1024 * 1024 + 65_536
 
-  # `under_way` maps ids to `{:call, from}` or `{:await, asked, {pid, tag}}`. `parts` holds the parts of incomplete
-  # replies.
+  # `pending` maps ids to `{:call, from, params}` or `{:await, params, {pid, tag}}`, each with its timer. `parts`
+  # holds the parts of incomplete replies.
   defstruct [
     :address,
     :access,
     :socket,
     :dialer,
     queued: [],
-    under_way: %{},
+    pending: %{},
     parts: %{},
     next: 1
   ]
@@ -39,22 +39,22 @@ defmodule Situ.Link.Recording.Client do
 
   @doc "Sends a request and returns the body of the reply. Errors: the server's own, `:unreachable`, `:link_lost` ..."
   @spec fetch_reply(Address.t(), Access.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
-  def fetch_reply(address, access, asked), do: call_client(address, access, {:ask, asked})
+  def fetch_reply(address, access, params), do: call_client(address, access, {:ask, params})
 
-  @doc "Sends `{:situ_store, tag, news}` to `pid` once there is news. It survives the loss of the link."
-  @spec await_news(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
-  def await_news(address, access, asked, to) do
+  @doc "Sends `{:situ_store, tag, notice}` to `pid` once the recording grows or ends, even if the link is lost before."
+  @spec await_notice(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
+  def await_notice(address, access, params, to) do
     {:ok, pid} = find_or_start(address, access)
-    GenServer.cast(pid, {:await, asked, to})
+    GenServer.cast(pid, {:await, params, to})
   end
 
-  defp call_client(address, access, question, tries \\ 3) do
+  defp call_client(address, access, request, tries \\ 3) do
     {:ok, pid} = find_or_start(address, access)
-    GenServer.call(pid, question, :infinity)
+    GenServer.call(pid, request, :infinity)
   catch
     # The process was ending because it was idle, so the call starts a new one.
     :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
-      call_client(address, access, question, tries - 1)
+      call_client(address, access, request, tries - 1)
   end
 
   defp find_or_start(address, access) do
@@ -83,30 +83,30 @@ defmodule Situ.Link.Recording.Client do
   end
 
   @impl true
-  def handle_call({:ask, asked}, from, state),
-    do: {:noreply, begin_request(state, {:call, from, asked})}
+  def handle_call({:ask, params}, from, state),
+    do: {:noreply, begin_request(state, {:call, from, params})}
 
   @impl true
-  def handle_cast({:await, asked, {pid, _} = to}, state) do
+  def handle_cast({:await, params, {pid, _} = to}, state) do
     Process.monitor(pid)
-    {:noreply, begin_request(state, {:await, asked, to})}
+    {:noreply, begin_request(state, {:await, params, to})}
   end
 
   # Sends the request if there is a connection. Otherwise it is queued, and the connection is opened first.
-  defp begin_request(%{socket: nil} = state, question),
-    do: start_dialer(%{state | queued: [question | state.queued]})
+  defp begin_request(%{socket: nil} = state, request),
+    do: start_dialer(%{state | queued: [request | state.queued]})
 
-  defp begin_request(state, question) do
+  defp begin_request(state, request) do
     id = state.next
-    frame = {:request, id, request_map(question)}
-    timer = Process.send_after(self(), {:late, id}, @answer_ms)
+    frame = {:request, id, request_map(request)}
+    timer = Process.send_after(self(), {:late, id}, @reply_ms)
     _ = Socket.send(state.socket, Frame.encode(frame))
-    under_way = Map.put(state.under_way, id, {question, timer})
-    %{state | next: rem(id, 0x7FFFFFFF) + 1, under_way: under_way}
+    pending = Map.put(state.pending, id, {request, timer})
+    %{state | next: rem(id, 0x7FFFFFFF) + 1, pending: pending}
   end
 
-  defp request_map({:call, _from, asked}), do: asked
-  defp request_map({:await, asked, _to}), do: asked
+  defp request_map({:call, _from, params}), do: params
+  defp request_map({:await, params, _to}), do: params
 
   defp start_dialer(%{dialer: nil} = state) do
     %{state | dialer: Dialer.start_dialer(state.address, state.access)}
@@ -116,7 +116,7 @@ defmodule Situ.Link.Recording.Client do
 
   @impl true
   def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
-    case Socket.enable_frames(socket, Dialer.most_bytes()) do
+    case Socket.enable_frames(socket, Dialer.max_bytes()) do
       :ok ->
         queued = Enum.reverse(state.queued)
         state = %{state | socket: socket, dialer: nil, queued: []}
@@ -128,9 +128,9 @@ defmodule Situ.Link.Recording.Client do
   end
 
   def handle_info({:dialed, dialer, {:error, error}}, %{dialer: dialer} = state) do
-    {waiting, others} = Enum.split_with(state.queued, &match?({:await, _, _}, &1))
-    for question <- others, do: deliver_result(question, {:error, error})
-    noreply_or_idle(schedule_reconnect(%{state | dialer: nil, queued: waiting}))
+    {awaiting, others} = Enum.split_with(state.queued, &match?({:await, _, _}, &1))
+    for request <- others, do: deliver_result(request, {:error, error})
+    noreply_or_idle(schedule_reconnect(%{state | dialer: nil, queued: awaiting}))
   end
 
   def handle_info(:dial, %{socket: nil} = state), do: {:noreply, start_dialer(state)}
@@ -140,8 +140,8 @@ defmodule Situ.Link.Recording.Client do
     _ = Socket.activate_once(state.socket)
 
     case Frame.decode(body) do
-      {:ok, {:reply, id, piece}} ->
-        noreply_or_idle(handle_reply_part(state, id, piece))
+      {:ok, {:reply, id, part}} ->
+        noreply_or_idle(handle_reply_part(state, id, part))
 
       {:ok, {:refused, map}} ->
         handle_link_loss(state, map |> Handshake.error_from_map() |> Exception.message())
@@ -163,11 +163,11 @@ defmodule Situ.Link.Recording.Client do
       when kind in [:tcp_error, :ssl_error],
       do: handle_link_loss(state, Socket.reason_text(reason))
 
-  # Only calls time out. A request that awaits news may take any time.
+  # Only calls time out. A request that awaits a notice may take any time.
   def handle_info({:late, id}, state) do
-    case state.under_way do
+    case state.pending do
       %{^id => {{:call, _, _}, _}} ->
-        handle_link_loss(state, "no reply within #{div(@answer_ms, 1_000)} s")
+        handle_link_loss(state, "no reply within #{div(@reply_ms, 1_000)} s")
 
       _ ->
         noreply_or_idle(state)
@@ -175,29 +175,29 @@ defmodule Situ.Link.Recording.Client do
   end
 
   def handle_info({:DOWN, _, :process, pid, _}, state) do
-    mine? = &match?({:await, _, {^pid, _}}, &1)
-    under_way = Map.reject(state.under_way, fn {_, {question, _}} -> mine?.(question) end)
-    noreply_or_idle(%{state | under_way: under_way, queued: Enum.reject(state.queued, mine?)})
+    from_pid? = &match?({:await, _, {^pid, _}}, &1)
+    pending = Map.reject(state.pending, fn {_, {request, _}} -> from_pid?.(request) end)
+    noreply_or_idle(%{state | pending: pending, queued: Enum.reject(state.queued, from_pid?)})
   end
 
-  def handle_info(:timeout, %{under_way: under_way, queued: []} = state)
-      when map_size(under_way) == 0,
+  def handle_info(:timeout, %{pending: pending, queued: []} = state)
+      when map_size(pending) == 0,
       do: {:stop, :normal, state}
 
   def handle_info(_other, state), do: noreply_or_idle(state)
 
   # When no request is pending, the idle timeout begins.
-  defp noreply_or_idle(%{under_way: under_way, queued: [], dialer: nil} = state)
-       when map_size(under_way) == 0,
+  defp noreply_or_idle(%{pending: pending, queued: [], dialer: nil} = state)
+       when map_size(pending) == 0,
        do: {:noreply, state, @idle_ms}
 
   defp noreply_or_idle(state), do: {:noreply, state}
 
-  defp handle_reply_part(state, id, <<0, bytes::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<0, bytes::binary>>) when is_map_key(state.pending, id) do
     {size, parts} = Map.get(state.parts, id, {0, []})
     size = size + byte_size(bytes)
 
-    if size > @most_answer,
+    if size > @max_reply,
       do:
         finish_request(
           state,
@@ -207,7 +207,7 @@ defmodule Situ.Link.Recording.Client do
       else: %{state | parts: Map.put(state.parts, id, {size, [parts, bytes]})}
   end
 
-  defp handle_reply_part(state, id, <<1, bytes::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<1, bytes::binary>>) when is_map_key(state.pending, id) do
     body =
       case state.parts do
         %{^id => {_, parts}} -> IO.iodata_to_binary([parts, bytes])
@@ -217,58 +217,58 @@ defmodule Situ.Link.Recording.Client do
     finish_request(state, id, {:ok, body})
   end
 
-  defp handle_reply_part(state, id, <<2, json::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<2, json::binary>>) when is_map_key(state.pending, id) do
     map = with {:ok, %{} = map} <- JSON.decode(json), do: map, else: (_ -> %{})
     finish_request(state, id, {:error, Handshake.error_from_map(map)})
   end
 
-  defp handle_reply_part(state, _id, _piece), do: state
+  defp handle_reply_part(state, _id, _part), do: state
 
   defp finish_request(state, id, result) do
-    {{question, timer}, under_way} = Map.pop(state.under_way, id)
+    {{request, timer}, pending} = Map.pop(state.pending, id)
     _ = Process.cancel_timer(timer)
-    deliver_result(question, result)
-    %{state | under_way: under_way, parts: Map.delete(state.parts, id)}
+    deliver_result(request, result)
+    %{state | pending: pending, parts: Map.delete(state.parts, id)}
   end
 
-  defp deliver_result({:call, from, _asked}, result), do: GenServer.reply(from, result)
+  defp deliver_result({:call, from, _params}, result), do: GenServer.reply(from, result)
 
   defp deliver_result({:await, %{"known" => known}, {pid, tag}}, result) do
-    with {:ok, body} <- result, {:ok, news} <- ReplyDecoder.decode_news(body) do
-      send(pid, {:situ_store, tag, news})
+    with {:ok, body} <- result, {:ok, notice} <- ReplyDecoder.decode_notice(body) do
+      send(pid, {:situ_store, tag, notice})
     else
       # The server no longer has the recording.
       _ -> send(pid, {:situ_store, tag, {:ended, known}})
     end
   end
 
-  # When the link is lost, requests that await news are kept and sent again. All other requests return an error.
+  # When the link is lost, requests that await a notice are kept and sent again. All other requests return an error.
   defp handle_link_loss(state, why) do
     if state.socket, do: Socket.close(state.socket)
-    where = Address.to_string(state.address)
-    error = Error.new(:link_lost, "the link to #{where} was lost", why: why)
+    address = Address.to_string(state.address)
+    error = Error.new(:link_lost, "the link to #{address} was lost", why: why)
 
-    waiting =
-      Enum.flat_map(state.under_way, fn {_, {question, timer}} ->
+    awaiting =
+      Enum.flat_map(state.pending, fn {_, {request, timer}} ->
         _ = Process.cancel_timer(timer)
 
-        if match?({:await, _, _}, question) do
-          [question]
+        if match?({:await, _, _}, request) do
+          [request]
         else
-          deliver_result(question, {:error, error})
+          deliver_result(request, {:error, error})
           []
         end
       end)
 
     noreply_or_idle(
-      schedule_reconnect(%{state | socket: nil, under_way: %{}, parts: %{}, queued: waiting})
+      schedule_reconnect(%{state | socket: nil, pending: %{}, parts: %{}, queued: awaiting})
     )
   end
 
   defp schedule_reconnect(%{queued: []} = state), do: state
 
   defp schedule_reconnect(state) do
-    Process.send_after(self(), :dial, @again_ms)
+    Process.send_after(self(), :dial, @retry_ms)
     state
   end
 

@@ -6,13 +6,13 @@ defmodule Situ.Link.Recording.ReplyDecoder do
   alias Situ.Link.Wire.Batch
   alias Situ.Store.{StreamInfo, TermCodec, TypeName}
 
-  @type answer(form) :: {:ok, form} | :error
+  @type result(form) :: {:ok, form} | :error
 
   @fields %StreamInfo{id: 0, name: ""} |> Map.from_struct() |> Map.keys() |> List.delete(:extra)
   @numbers [:id, :count, :size, :stored, :latency_sum]
   @times [:opened, :closed, :first, :last, :first_creation, :last_creation]
 
-  @spec decode_info(binary()) :: answer(map())
+  @spec decode_info(binary()) :: result(map())
   def decode_info(body) do
     with {:ok, %{name: name, live?: live?, closed?: closed?} = info} <- decode_term(body),
          true <- is_binary(name) and is_boolean(live?) and is_boolean(closed?),
@@ -23,11 +23,11 @@ defmodule Situ.Link.Recording.ReplyDecoder do
     end
   end
 
-  @spec decode_streams(binary(), String.t()) :: answer([StreamInfo.t()])
-  def decode_streams(body, where) do
+  @spec decode_streams(binary(), String.t()) :: result([StreamInfo.t()])
+  def decode_streams(body, address) do
     with {:ok, list} when is_list(list) <- decode_term(body),
          true <- Enum.all?(list, &valid_stream?/1) do
-      {:ok, for(map <- list, do: build_stream_info(map, where))}
+      {:ok, for(map <- list, do: build_stream_info(map, address))}
     else
       _ -> :error
     end
@@ -41,20 +41,20 @@ defmodule Situ.Link.Recording.ReplyDecoder do
 
   defp valid_stream?(_other), do: false
 
-  defp build_stream_info(map, where) do
+  defp build_stream_info(map, address) do
     info = struct!(StreamInfo, Map.take(map, @fields))
     type = with {:ok, type} <- TypeName.parse_type(info.type_name), do: type, else: (_ -> :any)
-    %{info | type: type, store_path: where}
+    %{info | type: type, store_path: address}
   end
 
-  @spec decode_number(binary()) :: answer(non_neg_integer())
+  @spec decode_number(binary()) :: result(non_neg_integer())
   def decode_number(body) do
     with {:ok, n} when is_integer(n) and n >= 0 <- decode_term(body),
          do: {:ok, n},
          else: (_ -> :error)
   end
 
-  @spec decode_summary(binary()) :: answer({pos_integer(), [tuple()]})
+  @spec decode_summary(binary()) :: result({pos_integer(), [tuple()]})
   def decode_summary(body) do
     with {:ok, {width, bins}} when is_integer(width) and width > 0 and is_list(bins) <-
            decode_term(body),
@@ -66,7 +66,7 @@ defmodule Situ.Link.Recording.ReplyDecoder do
     end
   end
 
-  @spec decode_tracks(binary()) :: answer({[tuple()], [tuple()]})
+  @spec decode_tracks(binary()) :: result({[tuple()], [tuple()]})
   def decode_tracks(body) do
     with {:ok, {counts, tracks}} when is_list(counts) and is_list(tracks) <- decode_term(body),
          true <- Enum.all?(counts, &match?({s, n} when is_integer(s) and is_integer(n), &1)),
@@ -81,23 +81,23 @@ defmodule Situ.Link.Recording.ReplyDecoder do
     end
   end
 
-  @spec decode_spans(binary()) :: answer([{Situ.Time.t(), Situ.Time.t()}])
+  @spec decode_spans(binary()) :: result([{Situ.Time.t(), Situ.Time.t()}])
   def decode_spans(body),
     do: decode_list(body, &match?({a, b} when is_integer(a) and is_integer(b), &1))
 
-  @spec decode_strings(binary()) :: answer([String.t()])
+  @spec decode_strings(binary()) :: result([String.t()])
   def decode_strings(body), do: decode_list(body, &is_binary/1)
 
-  defp decode_list(body, good?) do
-    with {:ok, list} when is_list(list) <- decode_term(body), true <- Enum.all?(list, good?) do
+  defp decode_list(body, valid?) do
+    with {:ok, list} when is_list(list) <- decode_term(body), true <- Enum.all?(list, valid?) do
       {:ok, list}
     else
       _ -> :error
     end
   end
 
-  @spec decode_news(binary()) :: answer({:published | :ended, non_neg_integer()})
-  def decode_news(body) do
+  @spec decode_notice(binary()) :: result({:published | :ended, non_neg_integer()})
+  def decode_notice(body) do
     with {:ok, {kind, n}} when kind in [:published, :ended] and is_integer(n) <- decode_term(body) do
       {:ok, {kind, n}}
     else
@@ -105,7 +105,7 @@ defmodule Situ.Link.Recording.ReplyDecoder do
     end
   end
 
-  @spec decode_messages(binary(), integer()) :: answer({[Message.t()], non_neg_integer()})
+  @spec decode_messages(binary(), integer()) :: result({[Message.t()], non_neg_integer()})
   def decode_messages(<<next::64, batches::binary>>, id) do
     with {:ok, messages} <- decode_batches(batches, []) do
       {:ok, {for(%Message{} = message <- messages, do: %{message | source_id: id}), next}}

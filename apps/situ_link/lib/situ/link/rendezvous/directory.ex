@@ -1,21 +1,12 @@
 defmodule Situ.Link.Rendezvous.Directory do
-  @moduledoc """
-  Keeps the announced processes, each with the client that owns it. Pure.
-
-      iex> alias Situ.Link.Rendezvous.Directory
-      iex> robot = %{name: "robot", version: "1", endpoints: []}
-      iex> {[{:add, ^robot}], directory} = Directory.apply_update(Directory.new(), :a, {:add, robot})
-      iex> {[], directory} = Directory.apply_update(directory, :b, {:remove, "robot"})
-      iex> {told, _} = Directory.remove_owner(directory, :a)
-      iex> told
-      [{:remove, "robot"}]
-  """
+  @moduledoc false
+  # Keeps the announced processes, each with the client that owns it. Pure.
   alias Situ.Link.Rendezvous.Protocol
 
   # These limits keep a client with many names or long lists from filling the memory or locking out other clients.
-  @most 1_000
-  @most_each 100
-  @most_bytes 16 * 1024 * 1024
+  @max_processes 1_000
+  @max_per_owner 100
+  @max_bytes 16 * 1024 * 1024
 
   defstruct processes: %{}, bytes: 0
   @type t :: %__MODULE__{}
@@ -36,6 +27,14 @@ defmodule Situ.Link.Rendezvous.Directory do
   Applies an update from a client and returns the updates to send to all others. A process that is added again with
   different endpoints is sent as a removal and an addition, which every client understands. An update for a name that
   belongs to another client is ignored.
+
+      iex> alias Situ.Link.Rendezvous.Directory
+      iex> robot = %{name: "robot", version: "1", endpoints: []}
+      iex> {[{:add, ^robot}], directory} = Directory.apply_update(Directory.new(), :a, {:add, robot})
+      iex> {[], directory} = Directory.apply_update(directory, :b, {:remove, "robot"})
+      iex> {updates, _} = Directory.remove_owner(directory, :a)
+      iex> updates
+      [{:remove, "robot"}]
   """
   @spec apply_update(t(), term(), Protocol.update()) :: {[Protocol.update()], t()}
   def apply_update(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do
@@ -71,8 +70,8 @@ defmodule Situ.Link.Rendezvous.Directory do
     do: remove_owner(directory, owner)
 
   defp has_room?(%{processes: processes, bytes: bytes}, owner, process) do
-    map_size(processes) < @most and bytes + :erlang.external_size(process) <= @most_bytes and
-      Enum.count(processes, fn {_, {whose, _}} -> whose == owner end) < @most_each
+    map_size(processes) < @max_processes and bytes + :erlang.external_size(process) <= @max_bytes and
+      Enum.count(processes, fn {_, {other, _}} -> other == owner end) < @max_per_owner
   end
 
   defp put_process(directory, owner, process) do
@@ -91,8 +90,8 @@ defmodule Situ.Link.Rendezvous.Directory do
   @spec remove_owner(t(), term()) :: {[Protocol.update()], t()}
   def remove_owner(%__MODULE__{processes: processes} = directory, owner) do
     names = for {name, {^owner, _}} <- processes, do: name
-    told = for name <- Enum.sort(names), do: {:remove, name}
-    {told, Enum.reduce(names, directory, &remove_process(&2, &1))}
+    updates = for name <- Enum.sort(names), do: {:remove, name}
+    {updates, Enum.reduce(names, directory, &remove_process(&2, &1))}
   end
 
   @doc "Describes for people that a name is taken: of two processes with the same name, the first counts."

@@ -10,22 +10,22 @@ defmodule Situ.Link.Rendezvous.Member do
   require Logger
   alias Situ.Link.Rendezvous.{Directory, Protocol}
 
-  @first_wait 50
-  @longest_wait 5_000
-  @greet_ms 10_000
+  @min_wait_ms 50
+  @max_wait_ms 5_000
+  @greeting_ms 10_000
 
   defstruct [
     :host,
     :port,
-    :own,
+    :entry,
     :listener,
     :socket,
     :error,
     :name,
-    wait: @first_wait,
+    wait_ms: @min_wait_ms,
     stage: nil,
     buffer: "",
-    continue: nil,
+    parser: nil,
     peers: %{}
   ]
 
@@ -35,8 +35,10 @@ defmodule Situ.Link.Rendezvous.Member do
   @impl true
   def init(opts) do
     send(self(), :connect)
-    own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
-    {:ok, %__MODULE__{host: opts[:host], port: opts[:port], own: own, listener: opts[:listener]}}
+    entry = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
+
+    {:ok,
+     %__MODULE__{host: opts[:host], port: opts[:port], entry: entry, listener: opts[:listener]}}
   end
 
   @impl true
@@ -45,13 +47,13 @@ defmodule Situ.Link.Rendezvous.Member do
 
   def handle_call(:error, _from, state) do
     error =
-      if state.name == :taken, do: Directory.name_taken_text(state.own.name), else: state.error
+      if state.name == :taken, do: Directory.name_taken_text(state.entry.name), else: state.error
 
     {:reply, error, state}
   end
 
   def handle_call({:announce, endpoints}, _from, state) do
-    state = %{state | own: %{state.own | endpoints: endpoints}}
+    state = %{state | entry: %{state.entry | endpoints: endpoints}}
     send_announcement(state)
     {:reply, :ok, state}
   end
@@ -63,8 +65,8 @@ defmodule Situ.Link.Rendezvous.Member do
     case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
       {:ok, socket} ->
         _ = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-signed-16>>)
-        Process.send_after(self(), {:greeted?, socket}, @greet_ms)
-        {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", continue: nil}}
+        Process.send_after(self(), {:greeted?, socket}, @greeting_ms)
+        {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", parser: nil}}
 
       {:error, reason} ->
         {:noreply, schedule_reconnect(state, to_string(:inet.format_error(reason)))}
@@ -82,7 +84,7 @@ defmodule Situ.Link.Rendezvous.Member do
         {:noreply,
          schedule_reconnect(state, "no greeting within 10 s: is it a rendezvous server?")}
 
-  def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
+  def handle_info({:tcp_closed, socket}, %{socket: socket} = state),
     do: {:noreply, schedule_reconnect(state, "the server closed the connection")}
 
   def handle_info({:tcp_error, socket, reason}, %{socket: socket} = state),
@@ -107,7 +109,7 @@ defmodule Situ.Link.Rendezvous.Member do
   defp handle_buffer(%{stage: :listed, buffer: buffer} = state) do
     with {:ok, _address, rest} <- Protocol.read_text(buffer),
          {:ok, _count, rest} <- Protocol.read_int(rest) do
-      state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, name: nil}
+      state = %{state | stage: :open, buffer: rest, wait_ms: @min_wait_ms, error: nil, name: nil}
       state = %{state | peers: %{}}
       send_announcement(state)
       handle_buffer(state)
@@ -120,12 +122,12 @@ defmodule Situ.Link.Rendezvous.Member do
   defp handle_buffer(%{stage: :open, buffer: ""} = state), do: state
 
   defp handle_buffer(%{stage: :open, buffer: buffer} = state) do
-    case (state.continue || (&Protocol.feed/1)).(buffer) do
+    case (state.parser || (&Protocol.feed/1)).(buffer) do
       {:ok, update, rest} ->
-        handle_buffer(handle_update(%{state | buffer: rest, continue: nil}, update))
+        handle_buffer(handle_update(%{state | buffer: rest, parser: nil}, update))
 
-      {:more, continue} ->
-        %{state | buffer: "", continue: continue}
+      {:more, parser} ->
+        %{state | buffer: "", parser: parser}
 
       {:error, why} ->
         schedule_reconnect(state, why)
@@ -134,9 +136,9 @@ defmodule Situ.Link.Rendezvous.Member do
 
   defp handle_buffer(state), do: state
 
-  defp handle_update(%{own: %{name: name}} = state, {:add, %{name: name} = process}) do
+  defp handle_update(%{entry: %{name: name}} = state, {:add, %{name: name} = process}) do
     cond do
-      state.name == :ours or process == state.own ->
+      state.name == :ours or process == state.entry ->
         %{state | name: :ours}
 
       state.name == :taken ->
@@ -144,14 +146,14 @@ defmodule Situ.Link.Rendezvous.Member do
 
       true ->
         Logger.warning("situ rendezvous: " <> Directory.name_taken_text(name))
-        if state.listener, do: send(state.listener, {:situ_rendezvous, self(), {:taken, name}})
+        notify_listener(state, {:taken, name})
         %{state | name: :taken}
     end
   end
 
   # The entry of another process, or of a lost connection, was removed, so the name is free. If it was this process
   # changing its endpoints, the server ignores the second announcement.
-  defp handle_update(%{own: %{name: name}} = state, {:remove, name}) do
+  defp handle_update(%{entry: %{name: name}} = state, {:remove, name}) do
     send_announcement(state)
     %{state | name: nil}
   end
@@ -172,14 +174,14 @@ defmodule Situ.Link.Rendezvous.Member do
   defp notify_listener(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
 
   defp send_announcement(%{stage: :open, socket: socket} = state),
-    do: :gen_tcp.send(socket, Protocol.encode({:add, state.own}))
+    do: :gen_tcp.send(socket, Protocol.encode({:add, state.entry}))
 
   defp send_announcement(_state), do: :ok
 
   defp schedule_reconnect(state, why) do
     if state.socket, do: :gen_tcp.close(state.socket)
     for {name, _} <- state.peers, do: notify_listener(state, {:removed, name})
-    Process.send_after(self(), :connect, state.wait)
+    Process.send_after(self(), :connect, state.wait_ms)
 
     %{
       state
@@ -189,7 +191,7 @@ defmodule Situ.Link.Rendezvous.Member do
         peers: %{},
         name: nil,
         error: why,
-        wait: min(state.wait * 2, @longest_wait)
+        wait_ms: min(state.wait_ms * 2, @max_wait_ms)
     }
   end
 

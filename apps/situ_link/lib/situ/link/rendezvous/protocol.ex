@@ -1,34 +1,23 @@
 defmodule Situ.Link.Rendezvous.Protocol do
-  @moduledoc """
-  Encodes and decodes \\psi's rendezvous protocol, version 2. Pure.
-
-  Processes announce their endpoints. A process is `%{name: name, version: text, endpoints: [endpoint]}`. An endpoint
-  has one of these forms:
-
-    * `{:tcp, host, port, streams}`: one stream in \\psi's TCP framing,
-    * `{:address, address, streams}`: ZeroMQ in \\psi, a link (`situ://...`) in Situ,
-    * `{:exporter, host, port, transport, streams}`,
-    * `{:clock, host, port, []}`.
-
-  A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least significant first) and
-  its UTF-8 bytes. Integers are little-endian.
-
-      iex> alias Situ.Link.Rendezvous.Protocol
-      iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
-      iex> bytes = IO.iodata_to_binary(Protocol.encode({:add, process}))
-      iex> Protocol.decode(bytes <> "rest")
-      {:ok, {:add, process}, "rest"}
-      iex> Protocol.decode(binary_part(bytes, 0, 9))
-      :more
-      iex> Protocol.decode(<<7>>)
-      {:error, "no update begins with the byte 7"}
-  """
+  @moduledoc false
+  # Encodes and decodes \psi's rendezvous protocol, version 2. Pure.
+  #
+  # Processes announce their endpoints. A process is `%{name: name, version: text, endpoints:
+  # [endpoint]}`. An endpoint has one of these forms:
+  #
+  #   * `{:tcp, host, port, streams}`: one stream in \psi's TCP framing,
+  #   * `{:address, address, streams}`: ZeroMQ in \psi, a link (`situ://...`) in Situ,
+  #   * `{:exporter, host, port, transport, streams}`,
+  #   * `{:clock, host, port, []}`.
+  #
+  # A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least
+  # significant first) and its UTF-8 bytes. Integers are little-endian.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @version 2
-  @most_text 4_096
-  @most_endpoints 1_000
-  @most_streams 10_000
+  @max_text 4_096
+  @max_endpoints 1_000
+  @max_streams 10_000
 
   @type stream :: {name :: String.t(), type :: String.t()}
   @type endpoint ::
@@ -86,7 +75,20 @@ defmodule Situ.Link.Rendezvous.Protocol do
   @type continuation :: (binary() -> result())
   @type result :: {:ok, update(), binary()} | {:more, continuation()} | {:error, String.t()}
 
-  @doc "Decodes the first update in `bytes` and returns the remaining bytes, or `:more` if the update is incomplete."
+  @doc """
+  Decodes the first update in `bytes` and returns the remaining bytes, or `:more` if the update is
+  incomplete.
+
+      iex> alias Situ.Link.Rendezvous.Protocol
+      iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
+      iex> bytes = IO.iodata_to_binary(Protocol.encode({:add, process}))
+      iex> Protocol.decode(bytes <> "rest")
+      {:ok, {:add, process}, "rest"}
+      iex> Protocol.decode(binary_part(bytes, 0, 9))
+      :more
+      iex> Protocol.decode(<<7>>)
+      {:error, "no update begins with the byte 7"}
+  """
   @spec decode(binary()) :: {:ok, update(), binary()} | :more | {:error, String.t()}
   def decode(bytes) do
     with {:more, _continuation} <- feed(bytes), do: :more
@@ -108,7 +110,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
   def feed(<<1, rest::binary>>) do
     feed_text(rest, fn name, rest ->
       feed_text(rest, fn version, rest ->
-        feed_list(rest, @most_endpoints, &feed_endpoint/2, fn endpoints, rest ->
+        feed_list(rest, @max_endpoints, &feed_endpoint/2, fn endpoints, rest ->
           {:ok, {:add, %{name: name, version: version, endpoints: endpoints}}, rest}
         end)
       end)
@@ -164,7 +166,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
 
   defp feed_endpoint(<<>>, next), do: {:more, &feed_endpoint(&1, next)}
 
-  defp feed_streams(bytes, next), do: feed_list(bytes, @most_streams, &feed_stream/2, next)
+  defp feed_streams(bytes, next), do: feed_list(bytes, @max_streams, &feed_stream/2, next)
 
   defp feed_stream(bytes, next) do
     feed_text(bytes, fn name, rest ->
@@ -172,18 +174,21 @@ defmodule Situ.Link.Rendezvous.Protocol do
     end)
   end
 
-  defp feed_list(bytes, most, one, next) do
+  defp feed_list(bytes, max, item_parser, next) do
     feed_int(bytes, fn n, rest ->
-      if n in 0..most,
-        do: feed_n(rest, {n, []}, one, next),
+      if n in 0..max,
+        do: feed_n(rest, {n, []}, item_parser, next),
         else: {:error, "a list of #{n} items exceeds the limit"}
     end)
   end
 
-  defp feed_n(rest, {0, done}, _one, next), do: next.(Enum.reverse(done), rest)
+  defp feed_n(rest, {0, items}, _one, next), do: next.(Enum.reverse(items), rest)
 
-  defp feed_n(bytes, {n, done}, one, next),
-    do: one.(bytes, fn item, rest -> feed_n(rest, {n - 1, [item | done]}, one, next) end)
+  defp feed_n(bytes, {n, items}, item_parser, next),
+    do:
+      item_parser.(bytes, fn item, rest ->
+        feed_n(rest, {n - 1, [item | items]}, item_parser, next)
+      end)
 
   @doc "Reads a 32-bit integer."
   @spec read_int(binary()) :: {:ok, integer(), binary()} | :more
@@ -202,7 +207,7 @@ defmodule Situ.Link.Rendezvous.Protocol do
 
   def read_text(_short), do: :more
 
-  defp take_text(n, _rest) when n > @most_text, do: {:error, "a string of #{n} bytes is too long"}
+  defp take_text(n, _rest) when n > @max_text, do: {:error, "a string of #{n} bytes is too long"}
 
   defp take_text(n, bytes) do
     case bytes do

@@ -10,13 +10,13 @@ defmodule Situ.Link.Rendezvous.Server do
   alias Situ.Error
   alias Situ.Link.Rendezvous.{Directory, Protocol}
 
-  @most_clients 1_000
+  @max_clients 1_000
   # Limits for one update, and for all incomplete updates together.
-  @most_bytes 1024 * 1024
-  @most_pending 16 * 1024 * 1024
-  @look_ms 1_000
+  @max_bytes 1024 * 1024
+  @max_pending 16 * 1024 * 1024
+  @check_ms 1_000
   # Linux: a host is given up after 25 s of silence (TCP_KEEPIDLE, TCP_KEEPINTVL, TCP_KEEPCNT).
-  @alive [
+  @keepalive [
     {:raw, 6, 4, <<10::native-32>>},
     {:raw, 6, 5, <<5::native-32>>},
     {:raw, 6, 6, <<3::native-32>>}
@@ -27,7 +27,9 @@ defmodule Situ.Link.Rendezvous.Server do
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
     options = [:binary, active: false, reuseaddr: true, nodelay: true, keepalive: true]
-    options = options ++ [send_timeout: 1_000, send_timeout_close: true, backlog: 128] ++ @alive
+
+    options =
+      options ++ [send_timeout: 1_000, send_timeout_close: true, backlog: 128] ++ @keepalive
 
     with {:ok, ip} <- :inet.getaddr(String.to_charlist(opts[:interface]), :inet),
          {:ok, listener} <- :gen_tcp.listen(opts[:port], [ip: ip] ++ options) do
@@ -52,7 +54,7 @@ defmodule Situ.Link.Rendezvous.Server do
   @impl true
   def init({listener, deadline}) do
     Process.flag(:trap_exit, true)
-    Process.send_after(self(), :look, min(@look_ms, deadline))
+    Process.send_after(self(), :check, min(@check_ms, deadline))
     {:ok, %__MODULE__{listener: listener, deadline: deadline}}
   end
 
@@ -68,16 +70,16 @@ defmodule Situ.Link.Rendezvous.Server do
   def handle_call(:processes, _from, state),
     do: {:reply, Directory.list_processes(state.directory), state}
 
-  # A client has: `stage` (:greeting or :open), `continue` (the function that reads its next bytes), `bytes` of the
-  # current update, `owes` (since when the rest is due, or `nil`), and `came` (when it connected).
+  # A client has: `stage` (:greeting or :open), `parser` (the function that reads its next bytes), `bytes` of the
+  # current update, `due_since` (when the current update began, or `nil`), and `connected_ms`.
   @impl true
   def handle_info({:client, socket}, state) do
     state = make_room(state)
 
-    if map_size(state.clients) < @most_clients do
+    if map_size(state.clients) < @max_clients do
       :ok = :inet.setopts(socket, active: :once)
       now = now_ms()
-      client = %{stage: :greeting, continue: nil, bytes: 0, owes: now, came: now}
+      client = %{stage: :greeting, parser: nil, bytes: 0, due_since: now, connected_ms: now}
       {:noreply, %{state | clients: Map.put(state.clients, socket, client)}}
     else
       :gen_tcp.close(socket)
@@ -90,10 +92,15 @@ defmodule Situ.Link.Rendezvous.Server do
     {:noreply, handle_bytes(state, socket, state.clients[socket], bytes)}
   end
 
-  def handle_info(:look, state) do
-    Process.send_after(self(), :look, min(@look_ms, state.deadline))
-    late = now_ms() - state.deadline
-    slow = for {socket, %{owes: owes}} <- state.clients, owes != nil and owes <= late, do: socket
+  def handle_info(:check, state) do
+    Process.send_after(self(), :check, min(@check_ms, state.deadline))
+    oldest = now_ms() - state.deadline
+
+    slow =
+      for {socket, %{due_since: due_since}} <- state.clients,
+          due_since != nil and due_since <= oldest,
+          do: socket
+
     {:noreply, Enum.reduce(slow, state, &disconnect_client(&2, &1))}
   end
 
@@ -102,52 +109,54 @@ defmodule Situ.Link.Rendezvous.Server do
   def handle_info({:EXIT, _, reason}, state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp make_room(%{clients: clients} = state) when map_size(clients) < @most_clients, do: state
+  defp make_room(%{clients: clients} = state) when map_size(clients) < @max_clients, do: state
 
   defp make_room(%{clients: clients} = state) do
     owners = Directory.list_owners(state.directory)
-    idle = for {socket, client} <- clients, socket not in owners, do: {client.came, socket}
+
+    idle =
+      for {socket, client} <- clients, socket not in owners, do: {client.connected_ms, socket}
 
     case Enum.min(idle, fn -> nil end) do
-      {_came, socket} -> disconnect_client(state, socket)
+      {_connected_ms, socket} -> disconnect_client(state, socket)
       nil -> state
     end
   end
 
   # A client with a different version receives ours, as it expects, and is disconnected.
   defp handle_bytes(state, socket, %{stage: :greeting} = client, bytes) do
-    case (client.continue || "") <> bytes do
+    case (client.parser || "") <> bytes do
       <<version::little-signed-16, rest::binary>> ->
         greet_client(state, socket, {client, version}, rest)
 
       short ->
-        put_client(state, socket, %{client | continue: short})
+        put_client(state, socket, %{client | parser: short})
     end
   end
 
   defp handle_bytes(state, socket, client, ""), do: put_client(state, socket, client)
 
-  defp handle_bytes(state, socket, %{bytes: before} = client, bytes) do
-    client = %{client | bytes: before + byte_size(bytes)}
+  defp handle_bytes(state, socket, %{bytes: previous} = client, bytes) do
+    client = %{client | bytes: previous + byte_size(bytes)}
 
-    case (client.continue || (&Protocol.feed/1)).(bytes) do
+    case (client.parser || (&Protocol.feed/1)).(bytes) do
       {:ok, :disconnect, _rest} ->
         disconnect_client(state, socket)
 
       {:ok, update, rest} ->
-        {told, directory} = Directory.apply_update(state.directory, socket, update)
-        client = %{client | continue: nil, bytes: 0, owes: nil}
+        {updates, directory} = Directory.apply_update(state.directory, socket, update)
+        client = %{client | parser: nil, bytes: 0, due_since: nil}
 
         %{state | directory: directory}
         |> put_client(socket, client)
-        |> broadcast_updates(told)
+        |> broadcast_updates(updates)
         |> handle_bytes(socket, client, rest)
 
-      {:more, continue} ->
+      {:more, parser} ->
         put_pending_client(state, socket, %{
           client
-          | continue: continue,
-            owes: client.owes || now_ms()
+          | parser: parser,
+            due_since: client.due_since || now_ms()
         })
 
       {:error, _why} ->
@@ -159,7 +168,7 @@ defmodule Situ.Link.Rendezvous.Server do
     _ = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-signed-16>>)
 
     if version == Protocol.protocol_version() do
-      client = %{client | stage: :open, continue: nil, owes: nil}
+      client = %{client | stage: :open, parser: nil, due_since: nil}
 
       state
       |> put_client(socket, client)
@@ -173,14 +182,14 @@ defmodule Situ.Link.Rendezvous.Server do
   defp put_pending_client(state, socket, client) do
     state = put_client(state, socket, client)
 
-    if client.bytes > @most_bytes or state.pending > @most_pending,
+    if client.bytes > @max_bytes or state.pending > @max_pending,
       do: disconnect_client(state, socket),
       else: state
   end
 
   defp put_client(state, socket, client) do
-    before = with %{bytes: bytes} <- state.clients[socket], do: bytes
-    pending = state.pending + client.bytes - (before || 0)
+    previous = with %{bytes: bytes} <- state.clients[socket], do: bytes
+    pending = state.pending + client.bytes - (previous || 0)
     %{state | pending: pending, clients: Map.put(state.clients, socket, client)}
   end
 
@@ -217,10 +226,14 @@ defmodule Situ.Link.Rendezvous.Server do
   end
 
   defp remove_client(state, socket) do
-    {told, directory} = Directory.remove_owner(state.directory, socket)
+    {updates, directory} = Directory.remove_owner(state.directory, socket)
     {client, clients} = Map.pop(state.clients, socket)
     pending = state.pending - if(client, do: client.bytes, else: 0)
-    broadcast_updates(%{state | clients: clients, pending: pending, directory: directory}, told)
+
+    broadcast_updates(
+      %{state | clients: clients, pending: pending, directory: directory},
+      updates
+    )
   end
 
   defp now_ms, do: System.monotonic_time(:millisecond)

@@ -1,8 +1,7 @@
 defmodule Situ.Link.Server.Channel do
-  @moduledoc """
-  Holds the server's state of one stream sent to one client: the request, its position, and the remaining credit.
-  Pure.
-  """
+  @moduledoc false
+  # Holds the server's state of one stream sent to one client: the request, its position, and the
+  # remaining credit. Pure.
   alias Situ.Delivery
   alias Situ.Link.Wire.{DatagramCodec, Frame}
   alias Situ.Link.Server.RecordingReader
@@ -18,7 +17,7 @@ defmodule Situ.Link.Server.Channel do
     :datagrams,
     priority: 0,
     credit: 0,
-    out: [],
+    frames: [],
     sent: 0,
     dropped: 0,
     state: :waiting
@@ -31,22 +30,22 @@ defmodule Situ.Link.Server.Channel do
   """
   @type t :: %__MODULE__{}
 
-  @most_window 256 * 1024 * 1024
+  @max_window 256 * 1024 * 1024
 
   @doc "Builds a channel from a client's request. If the request is invalid, returns the reason as text."
   @spec new(Frame.channel(), map()) :: {:ok, t()} | {:error, String.t()}
-  def new(id, %{"name" => name} = asked) when is_binary(name) do
-    with {:ok, from} <- parse_start(asked["from"]),
-         {:ok, policy} <- parse_policy(asked["policy"]),
-         {:ok, priority} <- parse_number(asked["priority"] || 0, -100, 100, "priority"),
-         {:ok, window} <- parse_number(asked["window"], 1, @most_window, "window") do
-      udp = if Delivery.lossy?(policy), do: parse_datagram_options(asked["udp"])
+  def new(id, %{"name" => name} = request) when is_binary(name) do
+    with {:ok, from} <- parse_start(request["from"]),
+         {:ok, policy} <- parse_policy(request["policy"]),
+         {:ok, priority} <- parse_number(request["priority"] || 0, -100, 100, "priority"),
+         {:ok, window} <- parse_number(request["window"], 1, @max_window, "window") do
+      udp = if Delivery.lossy?(policy), do: parse_datagram_options(request["udp"])
       channel = %__MODULE__{id: id, name: name, from: from, policy: policy, udp: udp}
       {:ok, %{channel | priority: priority, credit: window}}
     end
   end
 
-  def new(_id, _asked), do: {:error, "the subscription does not name a stream"}
+  def new(_id, _request), do: {:error, "the subscription does not name a stream"}
 
   defp parse_start("now"), do: {:ok, :now}
   defp parse_start("start"), do: {:ok, :start}
@@ -55,9 +54,9 @@ defmodule Situ.Link.Server.Channel do
   defp parse_start(_other), do: {:error, "the subscription has no valid start"}
 
   defp parse_start_time(time, from) do
-    least = RecordingReader.before_all()
+    min = RecordingReader.before_all()
 
-    with {:ok, time} <- parse_number(time, least, -least, "time"), do: {:ok, from.(time)}
+    with {:ok, time} <- parse_number(time, min, -min, "time"), do: {:ok, from.(time)}
   end
 
   defp parse_policy(nil), do: {:ok, Delivery.unlimited()}
@@ -82,20 +81,20 @@ defmodule Situ.Link.Server.Channel do
   # The client may send malformed options, so they are validated.
   defp parse_datagram_options(%{"key" => text, "size" => size})
        when is_binary(text) and is_integer(size) do
-    {least, most} = DatagramCodec.size_range()
+    {min, max} = DatagramCodec.size_range()
 
     case Base.decode16(text, case: :lower) do
-      {:ok, <<key::binary-16>>} when size in least..most//1 -> {key, size}
+      {:ok, <<key::binary-16>>} when size in min..max//1 -> {key, size}
       _ -> nil
     end
   end
 
   defp parse_datagram_options(_other), do: nil
 
-  defp parse_number(n, least, most, _what) when is_integer(n) and n >= least and n <= most,
+  defp parse_number(n, min, max, _name) when is_integer(n) and n >= min and n <= max,
     do: {:ok, n}
 
-  defp parse_number(_n, _least, _most, what), do: {:error, "#{what} is out of range"}
+  defp parse_number(_n, _min, _max, name), do: {:error, "#{name} is out of range"}
 
   @doc "Returns whether the channel may send: its stream is open, and the client has granted credit."
   @spec can_send?(t()) :: boolean()

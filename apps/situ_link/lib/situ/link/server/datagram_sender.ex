@@ -15,7 +15,7 @@ defmodule Situ.Link.Server.DatagramSender do
   @burst 40_000
   @pause_ms 1
 
-  defstruct [:socket, :session, :id, :key, :sender, :to, queue: :queue.new(), paused: false]
+  defstruct [:socket, :session, :id, :key, :sender, :client, queue: :queue.new(), paused?: false]
 
   @doc "Starts a sender that ends with the session. Returns `{:ok, pid, port}`."
   @spec start_sender(:inet.ip_address(), non_neg_integer(), binary(), pos_integer()) ::
@@ -51,8 +51,8 @@ defmodule Situ.Link.Server.DatagramSender do
 
   @impl true
   def handle_cast({:frame, frame, messages}, state) do
-    {sent, sender} = DatagramCodec.split_frame(state.sender, frame, messages)
-    entries = Enum.map(sent, &{:datagram, &1}) ++ [{:done, IO.iodata_length(frame)}]
+    {datagrams, sender} = DatagramCodec.split_frame(state.sender, frame, messages)
+    entries = Enum.map(datagrams, &{:datagram, &1}) ++ [{:done, IO.iodata_length(frame)}]
     queue = Enum.reduce(entries, state.queue, &:queue.in/2)
     {:noreply, send_queued(%{state | sender: sender, queue: queue}, @burst)}
   end
@@ -60,31 +60,31 @@ defmodule Situ.Link.Server.DatagramSender do
   @impl true
   def handle_info({:udp, socket, ip, port, bytes}, %{socket: socket} = state) do
     _ = :inet.setopts(socket, active: :once)
-    here? = DatagramCodec.hello?(state.key, bytes)
-    {:noreply, if(here?, do: send_queued(%{state | to: {ip, port}}, @burst), else: state)}
+    hello? = DatagramCodec.hello?(state.key, bytes)
+    {:noreply, if(hello?, do: send_queued(%{state | client: {ip, port}}, @burst), else: state)}
   end
 
-  def handle_info(:go, state), do: {:noreply, send_queued(%{state | paused: false}, @burst)}
+  def handle_info(:resume, state), do: {:noreply, send_queued(%{state | paused?: false}, @burst)}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp send_queued(%{to: nil} = state, _left), do: state
-  defp send_queued(%{paused: true} = state, _left), do: state
+  defp send_queued(%{client: nil} = state, _budget), do: state
+  defp send_queued(%{paused?: true} = state, _budget), do: state
 
-  defp send_queued(state, left) when left <= 0 do
-    Process.send_after(self(), :go, @pause_ms)
-    %{state | paused: true}
+  defp send_queued(state, budget) when budget <= 0 do
+    Process.send_after(self(), :resume, @pause_ms)
+    %{state | paused?: true}
   end
 
-  defp send_queued(state, left) do
+  defp send_queued(state, budget) do
     case :queue.out(state.queue) do
       {{:value, {:datagram, bytes}}, queue} ->
         # A datagram that cannot be sent counts as lost in transit.
-        _ = :gen_udp.send(state.socket, elem(state.to, 0), elem(state.to, 1), bytes)
-        send_queued(%{state | queue: queue}, left - byte_size(bytes))
+        _ = :gen_udp.send(state.socket, elem(state.client, 0), elem(state.client, 1), bytes)
+        send_queued(%{state | queue: queue}, budget - byte_size(bytes))
 
       {{:value, {:done, size}}, queue} ->
         send(state.session, {:situ_sent, state.id, size})
-        send_queued(%{state | queue: queue}, left)
+        send_queued(%{state | queue: queue}, budget)
 
       {:empty, _} ->
         state

@@ -10,18 +10,18 @@ defmodule Situ.Link.Server.RecordingReader do
   alias Situ.Link.Server.RecordingVersions
   alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
 
-  @messages 512
+  @batch 512
   # This time is earlier than any other, but far from the limits of 64-bit integers.
   @before_all -0x4000000000000000
 
-  defstruct [:series, :store, pieces?: false, version: 0, known: 0, awaiting: :no, catalog: -1]
+  defstruct [:series, :store, live?: false, version: 0, count: 0, notice: :no, catalog: -1]
 
   @type t :: %__MODULE__{}
   @type cursor :: map()
 
   @typedoc "A served recording, as described above."
   @type spec ::
-          {:series | :live, Path.t(), name :: String.t()} | {:store, Handle.t()}
+          {:series | :live, Path.t(), name :: String.t()} | {:store, Situ.Recording.t()}
 
   @typedoc """
   The start of a subscription: messages from now on, the beginning (of the newest version of a recording), the first
@@ -41,7 +41,7 @@ defmodule Situ.Link.Server.RecordingReader do
   def open({:store, %Situ.Recording{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
-    with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | pieces?: true}}
+    with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | live?: true}}
   end
 
   def open({:series, root, name}) do
@@ -71,7 +71,7 @@ defmodule Situ.Link.Server.RecordingReader do
   end
 
   defp set_version(state, version, store),
-    do: %{state | version: version, store: store, known: 0, awaiting: :no, catalog: -1}
+    do: %{state | version: version, store: store, count: 0, notice: :no, catalog: -1}
 
   @doc "Returns the current streams, or `:same` if they have not changed since the last call."
   @spec list_streams(t()) :: {[entry()] | :same, t()}
@@ -94,7 +94,7 @@ defmodule Situ.Link.Server.RecordingReader do
   defp catalog_entry(info), do: %{name: info.name, type: info.type_name}
 
   @doc "Returns the recording, for requests. `version` selects a version; `nil` selects the newest."
-  @spec fetch_store(t(), version :: term()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  @spec fetch_store(t(), version :: term()) :: {:ok, Situ.Recording.t()} | {:error, Error.t()}
   def fetch_store(%{store: nil, series: {_, name}}, _version),
     do:
       {:error,
@@ -124,7 +124,7 @@ defmodule Situ.Link.Server.RecordingReader do
   @spec open_cursor(t(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown
   def open_cursor(%{store: nil}, _name, _from), do: :unknown
 
-  def open_cursor(%{pieces?: true} = state, name, :start),
+  def open_cursor(%{live?: true} = state, name, :start),
     do: open_cursor(state, name, {:at, @before_all + 1})
 
   def open_cursor(state, name, from) when from in [:now, :start] do
@@ -178,7 +178,7 @@ defmodule Situ.Link.Server.RecordingReader do
   @spec read(t(), cursor()) ::
           {:parts, [Batch.part()], cursor()} | {:idle, cursor()} | {:ended, Situ.Time.t()}
   def read(state, cursor) do
-    case Query.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
+    case Query.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @batch,
            skip_damage: true
          ) do
       {:ok, [], ordinal} ->
@@ -220,10 +220,10 @@ defmodule Situ.Link.Server.RecordingReader do
   # If a killed writer left a recording open, a later version may continue it.
   defp check_end(state, cursor, info) do
     newest? = cursor.version == state.version
-    whole? = cursor.ordinal >= info.count
+    at_end? = cursor.ordinal >= info.count
 
     cond do
-      not newest? or not whole? -> {:idle, cursor}
+      not newest? or not at_end? -> {:idle, cursor}
       info.closed != nil -> {:ended, max(info.closed, cursor.last || info.last || info.closed)}
       state.series == nil and not Query.live?(cursor.store) -> {:ended, info.last || 0}
       true -> {:idle, cursor}
@@ -253,9 +253,9 @@ defmodule Situ.Link.Server.RecordingReader do
   # complete, and no notice about it is awaited.
   @doc "Requests a message to this process when more data may be available; `handle_notice/2` recognizes it."
   @spec request_notice(t()) :: t()
-  def request_notice(%{awaiting: :no, store: store} = state) when store != nil do
-    Query.notify(store, state.known, state.version)
-    %{state | awaiting: :news}
+  def request_notice(%{notice: :no, store: store} = state) when store != nil do
+    Query.notify(store, state.count, state.version)
+    %{state | notice: :notice}
   end
 
   def request_notice(state), do: state
@@ -263,17 +263,17 @@ defmodule Situ.Link.Server.RecordingReader do
   @doc "Processes a requested message. Returns `:other` for any other message."
   @spec handle_notice(t(), term()) :: {:ok, t()} | :other
   def handle_notice(%{version: version} = state, {:situ_store, version, {:published, n}}),
-    do: {:ok, %{state | known: n, awaiting: :no}}
+    do: {:ok, %{state | count: n, notice: :no}}
 
   def handle_notice(%{version: version} = state, {:situ_store, version, {:ended, n}}),
-    do: {:ok, %{state | known: n, awaiting: :over}}
+    do: {:ok, %{state | count: n, notice: :over}}
 
   def handle_notice(_state, _other), do: :other
 
   # Only the folder shows that the recording program has started a new version.
   @doc "Called periodically. Returns whether data may be available that no message has announced."
   @spec check_versions(t()) :: {boolean(), t()}
-  def check_versions(%{series: nil} = state), do: {state.awaiting == :no, state}
+  def check_versions(%{series: nil} = state), do: {state.notice == :no, state}
 
   def check_versions(%{series: {root, name}} = state) do
     case RecordingVersions.newest_version(root, name) do
@@ -284,7 +284,7 @@ defmodule Situ.Link.Server.RecordingReader do
         end
 
       _ ->
-        {state.store != nil and state.awaiting == :no, state}
+        {state.store != nil and state.notice == :no, state}
     end
   end
 end

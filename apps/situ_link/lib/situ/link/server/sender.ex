@@ -11,7 +11,7 @@ defmodule Situ.Link.Server.Sender do
   @turn_bytes 4 * 1024 * 1024
   @turn_reads 64
   # Longer batches are sent in parts.
-  @most_piece 4 * 1024 * 1024
+  @max_part 4 * 1024 * 1024
 
   @type state :: map()
 
@@ -21,9 +21,9 @@ defmodule Situ.Link.Server.Sender do
     channel = state.channels[id]
 
     case RecordingReader.open_cursor(state.reader, channel.name, channel.from) do
-      {:ok, cursor, before} ->
-        {channel, told} = start_datagrams(channel, state.socket)
-        _ = send_frame(state, {:subscribed, id, Map.put(told, "after", before)})
+      {:ok, cursor, start} ->
+        {channel, reply} = start_datagrams(channel, state.socket)
+        _ = send_frame(state, {:subscribed, id, Map.put(reply, "after", start)})
         put_channel(state, %{channel | cursor: cursor, state: :open})
 
       :unknown ->
@@ -76,7 +76,7 @@ defmodule Situ.Link.Server.Sender do
   def drained?(state) do
     state.stage != :open or
       Enum.all?(state.channels, fn {_, channel} ->
-        channel.state != :open or (channel.out == [] and channel_idle?(state, channel))
+        channel.state != :open or (channel.frames == [] and channel_idle?(state, channel))
       end)
   end
 
@@ -88,9 +88,9 @@ defmodule Situ.Link.Server.Sender do
   @spec send_replies(state()) ::
           {:sent, state()} | {:wait, pos_integer(), state()} | {:error, term(), state()}
   def send_replies(state) do
-    with {{:value, {id, piece}}, rest} <- :queue.out(state.replies),
-         size = IO.iodata_length(piece),
-         {:sending, :ok} <- {:sending, send_frame(state, {:reply, id, piece})} do
+    with {{:value, {id, part}}, rest} <- :queue.out(state.replies),
+         size = IO.iodata_length(part),
+         {:sending, :ok} <- {:sending, send_frame(state, {:reply, id, part})} do
       state = %{state | replies: rest, sent: state.sent + size}
 
       case Quota.charge_sent(state.config.quota, size, 0, System.monotonic_time(:nanosecond)) do
@@ -149,11 +149,11 @@ defmodule Situ.Link.Server.Sender do
 
   defp continue_after({:error, reason, state}, _bytes, _reads), do: {:error, reason, state}
 
-  defp send_next(state, %{out: [{frame, size, messages} | out]} = channel) do
+  defp send_next(state, %{frames: [{frame, size, messages} | frames]} = channel) do
     case send_data(state, channel, frame, messages) do
       :ok ->
         sent = channel.sent + messages
-        channel = %{channel | out: out, credit: channel.credit - size, sent: sent}
+        channel = %{channel | frames: frames, credit: channel.credit - size, sent: sent}
         {:sent, size, messages, put_channel(state, channel)}
 
       {:error, reason} ->
@@ -161,18 +161,18 @@ defmodule Situ.Link.Server.Sender do
     end
   end
 
-  defp send_next(state, %{out: []} = channel) do
+  defp send_next(state, %{frames: []} = channel) do
     {state, channel} = skip_messages(state, channel)
 
     case RecordingReader.read(state.reader, channel.cursor) do
       {:parts, parts, cursor} ->
-        most =
+        max =
           if channel.datagrams,
             do: :any,
-            else: Quota.segment_size(state.config.quota, @most_piece)
+            else: Quota.segment_size(state.config.quota, @max_part)
 
-        out = Enum.flat_map(parts, &batch_to_frames(&1, channel.id, most))
-        send_next(state, %{channel | out: out, cursor: cursor})
+        frames = Enum.flat_map(parts, &batch_to_frames(&1, channel.id, max))
+        send_next(state, %{channel | frames: frames, cursor: cursor})
 
       {:idle, cursor} ->
         # The channel is not scheduled until new data arrives.
@@ -210,21 +210,21 @@ defmodule Situ.Link.Server.Sender do
     state
   end
 
-  defp batch_to_frames({first, last, count, payload}, id, most) do
+  defp batch_to_frames({first, last, count, payload}, id, max) do
     frame = Frame.encode({:batch, id, first, last, count, payload})
     size = IO.iodata_length(frame)
 
-    if size <= most,
+    if size <= max,
       do: [{frame, size, count}],
-      else: split_frame(IO.iodata_to_binary(frame), id, count, most)
+      else: split_frame(IO.iodata_to_binary(frame), id, count, max)
   end
 
-  defp split_frame(bytes, id, count, most) when byte_size(bytes) <= most,
+  defp split_frame(bytes, id, count, max) when byte_size(bytes) <= max,
     do: [{Frame.encode({:part, id, true, bytes}), byte_size(bytes), count}]
 
-  defp split_frame(bytes, id, count, most) do
-    <<piece::binary-pinned_size(most), rest::binary>> = bytes
-    [{Frame.encode({:part, id, false, piece}), most, 0} | split_frame(rest, id, count, most)]
+  defp split_frame(bytes, id, count, max) do
+    <<part::binary-pinned_size(max), rest::binary>> = bytes
+    [{Frame.encode({:part, id, false, part}), max, 0} | split_frame(rest, id, count, max)]
   end
 
   defp send_frame(state, frame), do: Socket.send(state.socket, Frame.encode(frame))

@@ -11,10 +11,10 @@ defmodule Situ.Link.Server.Session do
   require Logger
 
   @login_ms 10_000
-  @look_ms 500
+  @check_ms 500
   # The frame limit after the login. Subscriptions and requests are short.
-  @most_bytes 1024 * 1024
-  @most_channels 100_000
+  @max_frame 1024 * 1024
+  @max_channels 100_000
   # Smaller tags are versions of recordings.
   @first_tag 0x100000000
 
@@ -28,13 +28,13 @@ defmodule Situ.Link.Server.Session do
     :client_nonce,
     stage: :greeting,
     channels: %{},
-    told: %{},
+    announced: %{},
     schedule: Schedule.new(),
     stores: %{},
     replies: :queue.new(),
-    deaf: false,
-    paused: false,
-    pumping: false,
+    reading_paused?: false,
+    sending_paused?: false,
+    send_scheduled?: false,
     sent: 0,
     messages: 0
   ]
@@ -85,14 +85,14 @@ defmodule Situ.Link.Server.Session do
 
   def handle_info(:login_late, %{stage: :open} = state), do: {:noreply, state}
   def handle_info(:login_late, state), do: refuse_client(bad_frame("no login within 10 s"), state)
-  def handle_info(:go, state), do: send_pending(%{state | paused: false})
-  def handle_info(:pump, state), do: send_pending(%{state | pumping: false})
+  def handle_info(:resume, state), do: send_pending(%{state | sending_paused?: false})
+  def handle_info(:send, state), do: send_pending(%{state | send_scheduled?: false})
 
-  def handle_info(:look, state) do
-    Process.send_after(self(), :look, @look_ms)
+  def handle_info(:check, state) do
+    Process.send_after(self(), :check, @check_ms)
 
     case RecordingReader.check_versions(state.reader) do
-      {true, reader} -> handle_news(%{state | reader: reader})
+      {true, reader} -> handle_new_data(%{state | reader: reader})
       {false, reader} -> {:noreply, %{state | reader: reader}}
     end
   end
@@ -104,15 +104,15 @@ defmodule Situ.Link.Server.Session do
     end
   end
 
-  # A client awaits this news. The tag contains the id of its request.
-  def handle_info({:situ_store, tag, news}, state) when tag >= @first_tag,
+  # A client awaits this notice. The tag contains the id of its request.
+  def handle_info({:situ_store, tag, notice}, state) when tag >= @first_tag,
     do:
-      {:noreply, queue_reply(state, tag - @first_tag, Requests.term_reply(news))}
+      {:noreply, queue_reply(state, tag - @first_tag, Requests.term_reply(notice))}
       |> then_send_pending()
 
   def handle_info(message, %{stage: :open} = state) do
     case RecordingReader.handle_notice(state.reader, message) do
-      {:ok, reader} -> handle_news(%{state | reader: reader})
+      {:ok, reader} -> handle_new_data(%{state | reader: reader})
       :other -> {:noreply, state}
     end
   end
@@ -126,7 +126,7 @@ defmodule Situ.Link.Server.Session do
   # flight.
   def handle_call(:finish, _from, state) do
     if state.socket, do: Socket.finish_sending(state.socket)
-    {:reply, :ok, %{state | paused: true}}
+    {:reply, :ok, %{state | sending_paused?: true}}
   end
 
   def handle_call(:info, _from, state), do: {:reply, session_stats(state), state}
@@ -172,18 +172,18 @@ defmodule Situ.Link.Server.Session do
   defp handle_frame({:credit, id, bytes}, %{stage: :open} = state) do
     case state.channels do
       # Datagrams are credited when they are sent (`:situ_sent`), because lost ones are never consumed.
-      %{^id => %{datagrams: nil} = channel} -> {:pump, add_credit(state, channel, bytes)}
+      %{^id => %{datagrams: nil} = channel} -> {:send, add_credit(state, channel, bytes)}
       # The stream has ended since.
       _ -> {:ok, state}
     end
   end
 
   defp handle_frame({:subscribe, id, map}, %{stage: :open} = state)
-       when map_size(state.channels) < @most_channels do
+       when map_size(state.channels) < @max_channels do
     with {:new, true} <- {:new, not is_map_key(state.channels, id)},
          {:ok, channel} <- Channel.new(id, map) do
       state = Sender.open_channel(%{state | channels: Map.put(state.channels, id, channel)}, id)
-      {:pump, state}
+      {:send, state}
     else
       {:new, false} -> {:error, bad_frame("channel #{id} is in use")}
       {:error, why} -> {:error, bad_frame(why)}
@@ -193,11 +193,11 @@ defmodule Situ.Link.Server.Session do
   defp handle_frame({:request, id, map}, %{stage: :open} = state) do
     with {:ok, store, state} <- fetch_store(state, map["version"]) do
       case Requests.handle_request(store, map) do
-        {:ok, pieces} -> {:pump, queue_reply(state, id, pieces)}
+        {:ok, parts} -> {:send, queue_reply(state, id, parts)}
         {:await, known} -> {Query.notify(store, known, @first_tag + id), state}
       end
     else
-      {:error, %Error{} = error} -> {:pump, queue_reply(state, id, Requests.error_reply(error))}
+      {:error, %Error{} = error} -> {:send, queue_reply(state, id, Requests.error_reply(error))}
     end
   end
 
@@ -223,12 +223,12 @@ defmodule Situ.Link.Server.Session do
 
     with {:ok, spec} <- ServedRecordings.fetch_recording(state.config.served, name),
          {:ok, reader} <- RecordingReader.open(spec) do
-      send(self(), :look)
+      send(self(), :check)
       state = %{state | stage: :open, reader: reader, peer: peer_address(state)}
 
       with {:ok, state} <- send_frame(state, welcome_frame(state)),
-           :ok <- Socket.enable_frames(state.socket, @most_bytes),
-           do: {:pump, announce_streams(state)}
+           :ok <- Socket.enable_frames(state.socket, @max_frame),
+           do: {:send, announce_streams(state)}
     end
   end
 
@@ -259,8 +259,8 @@ defmodule Situ.Link.Server.Session do
     end
   end
 
-  defp queue_reply(state, id, pieces) do
-    queue = for piece <- pieces, reduce: state.replies, do: (q -> :queue.in({id, piece}, q))
+  defp queue_reply(state, id, parts) do
+    queue = for part <- parts, reduce: state.replies, do: (queue -> :queue.in({id, part}, queue))
     %{state | replies: queue}
   end
 
@@ -269,10 +269,10 @@ defmodule Situ.Link.Server.Session do
   defp after_frame({:ok, state}, _before), do: activate_socket(state)
 
   # Further requests of a client are not handled until it has read its replies.
-  defp after_frame({:pump, state}, _before) do
+  defp after_frame({:send, state}, _before) do
     if :queue.is_empty(state.replies),
       do: state |> activate_socket() |> then_send_pending(),
-      else: send_pending(%{state | deaf: true})
+      else: send_pending(%{state | reading_paused?: true})
   end
 
   defp after_frame({:error, %Error{} = error}, state), do: refuse_client(error, state)
@@ -288,7 +288,7 @@ defmodule Situ.Link.Server.Session do
   defp then_send_pending({:noreply, state}), do: send_pending(state)
   defp then_send_pending(stop), do: stop
 
-  defp handle_news(state) do
+  defp handle_new_data(state) do
     state |> announce_streams() |> Sender.schedule_all() |> send_pending()
   end
 
@@ -298,29 +298,29 @@ defmodule Situ.Link.Server.Session do
         %{state | reader: reader}
 
       {entries, reader} ->
-        fresh = for entry <- entries, state.told[entry.name] != entry.type, do: entry
-        told = Map.merge(state.told, Map.new(fresh, &{&1.name, &1.type}))
-        send_streams(state, fresh)
-        Sender.open_waiting(%{state | reader: reader, told: told})
+        added = for entry <- entries, state.announced[entry.name] != entry.type, do: entry
+        announced = Map.merge(state.announced, Map.new(added, &{&1.name, &1.type}))
+        send_streams(state, added)
+        Sender.open_waiting(%{state | reader: reader, announced: announced})
     end
   end
 
   # An empty list is sent, too, because the client waits for the first list.
-  defp send_streams(state, fresh) do
-    streams = for entry <- fresh, do: %{"name" => entry.name, "type" => entry.type}
+  defp send_streams(state, added) do
+    streams = for entry <- added, do: %{"name" => entry.name, "type" => entry.type}
     _ = Socket.send(state.socket, Frame.encode({:streams, %{"streams" => streams}}))
   end
 
-  defp send_pending(%{paused: true} = state), do: {:noreply, state}
+  defp send_pending(%{sending_paused?: true} = state), do: {:noreply, state}
   defp send_pending(%{stage: stage} = state) when stage != :open, do: {:noreply, state}
 
   defp send_pending(state) do
     case Sender.send_replies(state) do
-      {:sent, %{deaf: true} = state} ->
-        %{state | deaf: false} |> activate_socket() |> then_send_pending()
+      {:sent, %{reading_paused?: true} = state} ->
+        %{state | reading_paused?: false} |> activate_socket() |> then_send_pending()
 
       {:sent, state} ->
-        pump_streams(state)
+        send_stream_frames(state)
 
       {:wait, ns, state} ->
         {:noreply, pause_sending(state, ns)}
@@ -330,31 +330,29 @@ defmodule Situ.Link.Server.Session do
     end
   end
 
-  defp pump_streams(state) do
+  defp send_stream_frames(state) do
     case Sender.send_frames(state) do
-      {:more, state} -> {:noreply, schedule_pump(state)}
+      {:more, state} -> {:noreply, schedule_send(state)}
       {:wait, ns, state} -> {:noreply, pause_sending(state, ns)}
       {:idle, state} -> {:noreply, state}
       {:error, reason, state} -> {:stop, {:shutdown, reason}, state}
     end
   end
 
-  defp schedule_pump(%{pumping: true} = state), do: state
+  defp schedule_send(%{send_scheduled?: true} = state), do: state
 
-  defp schedule_pump(state) do
-    send(self(), :pump)
-    %{state | pumping: true}
+  defp schedule_send(state) do
+    send(self(), :send)
+    %{state | send_scheduled?: true}
   end
 
   defp pause_sending(state, ns) do
-    Process.send_after(self(), :go, max(div(ns, 1_000_000), 1))
-    %{state | paused: true}
+    Process.send_after(self(), :resume, max(div(ns, 1_000_000), 1))
+    %{state | sending_paused?: true}
   end
 
-  defp put_channel(state, channel), do: Sender.put_channel(state, channel)
-
   defp add_credit(state, channel, bytes),
-    do: put_channel(state, %{channel | credit: channel.credit + bytes})
+    do: Sender.put_channel(state, %{channel | credit: channel.credit + bytes})
 
   defp send_frame(state, frame) do
     with :ok <- Socket.send(state.socket, Frame.encode(frame)), do: {:ok, state}

@@ -1,32 +1,24 @@
 defmodule Situ.Link.Wire.Batch do
-  @moduledoc """
-  Encodes messages as payloads of `batch` frames, and decodes them. Pure.
-
-  A payload begins with a length byte `n` and a name of `n` bytes, which selects the encoding:
-
-    * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
-    * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
-      time (64 bits each, signed), the length of its data (32 bits), and the data.
-
-  Decoding does not trust its input. Terms go through the decoder of stores (no new atoms, no functions, bounded
-  memory). Binaries are sub-binaries of the payload, not copies. Data that cannot be decoded become a
-  `Situ.Store.Undecoded` in their message, so that the stream continues.
-
-      iex> alias Situ.Link.Wire.Batch
-      iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
-      iex> [{10, 10, 1, payload}] = Batch.encode([message])
-      iex> payload |> IO.iodata_to_binary() |> Batch.decode()
-      {:ok, [message]}
-      iex> Batch.decode(<<9, "cut">>)
-      {:error, "a payload cut short"}
-  """
+  @moduledoc false
+  # Encodes messages as payloads of `batch` frames, and decodes them. Pure.
+  #
+  # A payload begins with a length byte `n` and a name of `n` bytes, which selects the encoding:
+  #
+  #   * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
+  #   * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
+  #     time (64 bits each, signed), the length of its data (32 bits), and the data.
+  #
+  # Decoding does not trust its input. Terms go through the decoder of stores (no new atoms, no
+  # functions, bounded memory). Binaries are sub-binaries of the payload, not copies. Data that
+  # cannot be decoded become a `Situ.Store.Undecoded` in their message, so that the stream
+  # continues.
   alias Situ.Message
   alias Situ.Store.{Codecs, TermCodec, Undecoded}
 
-  @bytes ":bytes"
+  @bytes_codec ":bytes"
   # Encoding smaller binaries separately has no advantage over putting them into the term.
-  @least_bytes 512
-  @most_bytes 256 * 1024
+  @min_bytes 512
+  @max_bytes 256 * 1024
 
   @typedoc "First and last originating time, count and payload: the fields of a `batch` frame after its channel."
   @type part :: {Situ.Time.t(), Situ.Time.t(), pos_integer(), iodata()}
@@ -36,6 +28,14 @@ defmodule Situ.Link.Wire.Batch do
 
   Does not check the data: messages that contain more than plain data are decoded as `Situ.Store.Undecoded`; see
   `split_encodable/1`.
+
+      iex> alias Situ.Link.Wire.Batch
+      iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
+      iex> [{10, 10, 1, payload}] = Batch.encode([message])
+      iex> payload |> IO.iodata_to_binary() |> Batch.decode()
+      {:ok, [message]}
+      iex> Batch.decode(<<9, "cut">>)
+      {:error, "a payload cut short"}
   """
   @spec encode([Message.t()]) :: [part()]
   def encode([]), do: []
@@ -47,18 +47,20 @@ defmodule Situ.Link.Wire.Batch do
   end
 
   defp payload_codec(data) when is_binary(data),
-    do: if(byte_size(data) >= @least_bytes, do: @bytes)
+    do: if(byte_size(data) >= @min_bytes, do: @bytes_codec)
 
   defp payload_codec(%_{} = data), do: Codecs.module_for(data)
   defp payload_codec(_data), do: nil
 
   defp encode_run(nil, messages) do
-    tuples = for m <- messages, do: {m.sequence_id, m.originating_time, m.creation_time, m.data}
+    tuples =
+      for message <- messages,
+          do: {message.sequence_id, message.originating_time, message.creation_time, message.data}
 
     [build_part(messages, length(messages), [<<0>>, :erlang.term_to_iovec(tuples)])]
   end
 
-  defp encode_run(@bytes, messages), do: encode_records(@bytes, messages, & &1)
+  defp encode_run(@bytes_codec, messages), do: encode_records(@bytes_codec, messages, & &1)
 
   defp encode_run(module, messages),
     do: encode_records(module.codec_name(), messages, &module.encode/1)
@@ -70,12 +72,12 @@ defmodule Situ.Link.Wire.Batch do
     |> Enum.map(&{&1, encode_record(&1, encode.(&1.data))})
     |> Enum.chunk_while(
       {0, []},
-      fn {_, {size, _}} = one, {sum, taken} ->
-        if taken != [] and sum + size > @most_bytes,
-          do: {:cont, Enum.reverse(taken), {size, [one]}},
-          else: {:cont, {sum + size, [one | taken]}}
+      fn {_, {size, _}} = entry, {total, entries} ->
+        if entries != [] and total + size > @max_bytes,
+          do: {:cont, Enum.reverse(entries), {size, [entry]}},
+          else: {:cont, {total + size, [entry | entries]}}
       end,
-      fn {_, taken} -> {:cont, Enum.reverse(taken), nil} end
+      fn {_, entries} -> {:cont, Enum.reverse(entries), nil} end
     )
     |> Enum.map(fn group ->
       {messages, records} = Enum.unzip(group)
@@ -83,12 +85,13 @@ defmodule Situ.Link.Wire.Batch do
     end)
   end
 
-  defp encode_record(m, bytes) do
+  defp encode_record(message, bytes) do
     size = IO.iodata_length(bytes)
 
     {size + 28,
      [
-       <<m.sequence_id::64, m.originating_time::signed-64, m.creation_time::signed-64, size::32>>
+       <<message.sequence_id::64, message.originating_time::signed-64,
+         message.creation_time::signed-64, size::32>>
        | bytes
      ]}
   end
@@ -104,8 +107,10 @@ defmodule Situ.Link.Wire.Batch do
         {messages, 0}
 
       {:error, _} ->
-        {good, bad} = Enum.split_with(messages, &match?({:ok, _}, TermCodec.encode(&1.data)))
-        {good, length(bad)}
+        {encodable, rejected} =
+          Enum.split_with(messages, &match?({:ok, _}, TermCodec.encode(&1.data)))
+
+        {encodable, length(rejected)}
     end
   end
 
@@ -126,7 +131,7 @@ defmodule Situ.Link.Wire.Batch do
 
   def decode(_bytes), do: {:error, "a payload cut short"}
 
-  defp terms_to_messages([{sequence, time, creation, data} | rest], done)
+  defp terms_to_messages([{sequence, time, creation, data} | rest], messages)
        when is_integer(sequence) and sequence >= 0 and is_integer(time) and is_integer(creation) do
     message = %Message{
       data: data,
@@ -135,13 +140,13 @@ defmodule Situ.Link.Wire.Batch do
       sequence_id: sequence
     }
 
-    terms_to_messages(rest, [message | done])
+    terms_to_messages(rest, [message | messages])
   end
 
-  defp terms_to_messages([], done), do: {:ok, Enum.reverse(done)}
+  defp terms_to_messages([], messages), do: {:ok, Enum.reverse(messages)}
   defp terms_to_messages(_other, _done), do: {:error, "the payload is not a list of messages"}
 
-  defp find_decoder(@bytes), do: & &1
+  defp find_decoder(@bytes_codec), do: & &1
 
   defp find_decoder(name) do
     if String.valid?(name) do
@@ -169,7 +174,7 @@ defmodule Situ.Link.Wire.Batch do
          <<sequence::64, time::signed-64, creation::signed-64, size::32, bytes::binary-size(size),
            rest::binary>>,
          decode,
-         done
+         messages
        ) do
     message = %Message{
       data: decode.(bytes),
@@ -178,9 +183,9 @@ defmodule Situ.Link.Wire.Batch do
       sequence_id: sequence
     }
 
-    decode_records(rest, decode, [message | done])
+    decode_records(rest, decode, [message | messages])
   end
 
-  defp decode_records(<<>>, _decode, done), do: {:ok, Enum.reverse(done)}
+  defp decode_records(<<>>, _decode, messages), do: {:ok, Enum.reverse(messages)}
   defp decode_records(_rest, _decode, _done), do: {:error, "a payload cut short"}
 end

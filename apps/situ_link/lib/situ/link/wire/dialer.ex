@@ -7,11 +7,11 @@ defmodule Situ.Link.Wire.Dialer do
 
   @timeout_ms 5_000
   # The longest frame that a server may send: a part of a batch, or a catalogue.
-  @most_bytes 64 * 1024 * 1024
+  @max_bytes 64 * 1024 * 1024
 
   @doc "Returns the size in bytes of the longest frame accepted from a server."
-  @spec most_bytes() :: pos_integer()
-  def most_bytes, do: @most_bytes
+  @spec max_bytes() :: pos_integer()
+  def max_bytes, do: @max_bytes
 
   @doc "Tries to connect once. The caller receives `{:dialed, dialer, {:ok, socket, welcome} | {:error, error}}`."
   @spec start_dialer(Link.Address.t(), map()) :: pid()
@@ -42,9 +42,9 @@ defmodule Situ.Link.Wire.Dialer do
   end
 
   defp connect_and_login(address, opts) do
-    with {:ok, found} <- Link.Address.resolve(address),
-         {:ok, socket} <- Socket.connect(found, opts.tls, @timeout_ms) do
-      with {:error, error} <- log_in(socket, found, opts) do
+    with {:ok, resolved} <- Link.Address.resolve(address),
+         {:ok, socket} <- Socket.connect(resolved, opts.tls, @timeout_ms) do
+      with {:error, error} <- log_in(socket, resolved, opts) do
         Socket.close(socket)
         {:error, error}
       end
@@ -59,9 +59,9 @@ defmodule Situ.Link.Wire.Dialer do
          {:ok, _version} <- Handshake.check_version(version, oldest),
          proof = Handshake.build_proof(opts.token, :client, server_nonce, nonce),
          :ok <- Socket.send(socket, Frame.encode({:login, proof, login_request(address, opts)})),
-         {:ok, {:welcome, shown, map}} <- receive_frame(socket),
+         {:ok, {:welcome, reply, map}} <- receive_frame(socket),
          {:proved, true} <-
-           {:proved, Handshake.valid_proof?(opts.token, :server, server_nonce, nonce, shown)} do
+           {:proved, Handshake.valid_proof?(opts.token, :server, server_nonce, nonce, reply)} do
       {:ok, socket, map}
     else
       {:proved, false} ->

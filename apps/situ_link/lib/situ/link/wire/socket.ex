@@ -9,14 +9,14 @@ defmodule Situ.Link.Wire.Socket do
   @type t :: {:gen_tcp | :ssl, term()}
 
   # A frame with a larger length field ends the connection before any of its body is read.
-  @most_before_login 64 * 1024
+  @max_login 64 * 1024
   @send_timeout 30_000
 
-  @framed [
+  @frame_options [
     :binary,
     packet: 4,
     active: false,
-    packet_size: @most_before_login,
+    packet_size: @max_login,
     send_timeout: @send_timeout,
     send_timeout_close: true
   ]
@@ -32,7 +32,8 @@ defmodule Situ.Link.Wire.Socket do
     path = opts[:path]
     remove_stale_socket(path)
 
-    with {:ok, listener} <- :gen_tcp.listen(0, [ifaddr: {:local, path}, backlog: 128] ++ @framed),
+    with {:ok, listener} <-
+           :gen_tcp.listen(0, [ifaddr: {:local, path}, backlog: 128] ++ @frame_options),
          :ok <- File.chmod(path, 0o600) do
       {:ok, {:gen_tcp, listener}}
     else
@@ -41,15 +42,16 @@ defmodule Situ.Link.Wire.Socket do
   end
 
   def listen(kind, opts) do
-    where = "#{opts[:interface]}:#{opts[:port]}"
+    address = "#{opts[:interface]}:#{opts[:port]}"
 
     with {:ok, ip} <- resolve_ip(opts[:interface]),
          options =
-           [address_family(ip), ip: ip, reuseaddr: true, backlog: 128] ++ @internet ++ @framed,
+           [address_family(ip), ip: ip, reuseaddr: true, backlog: 128] ++
+             @internet ++ @frame_options,
          {:ok, listener} <- listen_at(kind, opts, options) do
       {:ok, listener}
     else
-      {:error, reason} -> {:error, cannot_listen(where, reason)}
+      {:error, reason} -> {:error, cannot_listen(address, reason)}
     end
   end
 
@@ -77,12 +79,12 @@ defmodule Situ.Link.Wire.Socket do
     end
   end
 
-  defp cannot_listen(where, :eaddrinuse),
-    do: Error.new(:address_in_use, "#{where} is in use", fix: "choose another port or path")
+  defp cannot_listen(address, :eaddrinuse),
+    do: Error.new(:address_in_use, "#{address} is in use", fix: "choose another port or path")
 
-  defp cannot_listen(where, reason),
+  defp cannot_listen(address, reason),
     do:
-      Error.new(listen_error_code(reason), "cannot listen on #{where}", why: reason_text(reason))
+      Error.new(listen_error_code(reason), "cannot listen on #{address}", why: reason_text(reason))
 
   defp listen_error_code({:options, _}), do: :bad_tls
   defp listen_error_code(:options), do: :bad_tls
@@ -130,11 +132,11 @@ defmodule Situ.Link.Wire.Socket do
 
   # Trying again cannot help. The alert was sent by the server or describes a problem found on this side.
   defp certificate_error(address, text, why) do
-    where = Address.to_string(%{address | name: "", fingerprint: nil})
+    server = Address.to_string(%{address | name: "", fingerprint: nil})
 
     cond do
       text =~ "SERVER ALERT" ->
-        Error.new(:wrong_certificate, "#{where} rejects this side's certificate",
+        Error.new(:wrong_certificate, "#{server} rejects this side's certificate",
           why: why,
           fix:
             "give tls: [certfile: ..., keyfile: ...] with a certificate that the server accepts"
@@ -143,13 +145,13 @@ defmodule Situ.Link.Wire.Socket do
       text =~ "hostname_check_failed" ->
         Error.new(
           :wrong_certificate,
-          "the certificate of #{where} was issued for a different host",
+          "the certificate of #{server} was issued for a different host",
           why: "it does not name #{address.host}",
           fix: "use a name that the certificate contains, or issue a certificate for this name"
         )
 
       true ->
-        Error.new(:wrong_certificate, "the certificate of #{where} is not trusted",
+        Error.new(:wrong_certificate, "the certificate of #{server} is not trusted",
           why: why,
           fix:
             "open the address that the server prints, which includes the fingerprint, or name the authority that" <>
@@ -159,11 +161,11 @@ defmodule Situ.Link.Wire.Socket do
   end
 
   defp connect_to(%{transport: :unix, path: path}, _tls, timeout),
-    do: tag_socket(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @framed, timeout))
+    do: tag_socket(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @frame_options, timeout))
 
   defp connect_to(%{host: host, port: port} = address, tls, timeout) do
     with {:ok, ip} <- resolve_ip(host) do
-      options = [address_family(ip)] ++ @internet ++ @framed
+      options = [address_family(ip)] ++ @internet ++ @frame_options
 
       connect_at(
         address.transport,
@@ -190,8 +192,11 @@ defmodule Situ.Link.Wire.Socket do
     do: Keyword.merge([verify: :verify_none], tls)
 
   defp trust_options(tls, %{transport: :tls}) do
-    given? = Enum.any?([:verify, :cacerts, :cacertfile], &Keyword.has_key?(tls, &1))
-    if given?, do: Keyword.put_new(tls, :verify, :verify_peer), else: system_authorities() ++ tls
+    authority? = Enum.any?([:verify, :cacerts, :cacertfile], &Keyword.has_key?(tls, &1))
+
+    if authority?,
+      do: Keyword.put_new(tls, :verify, :verify_peer),
+      else: system_authorities() ++ tls
   end
 
   defp trust_options(tls, _address), do: tls
@@ -250,11 +255,11 @@ defmodule Situ.Link.Wire.Socket do
   def receive({module, socket}, timeout), do: module.recv(socket, 0, timeout)
 
   @doc """
-  Delivers the next frame as a message, `{:tcp | :ssl, socket, body}`, and accepts frames of up to `most` bytes from now
+  Delivers the next frame as a message, `{:tcp | :ssl, socket, body}`, and accepts frames of up to `max` bytes from now
   on.
   """
   @spec enable_frames(t(), pos_integer()) :: :ok | {:error, term()}
-  def enable_frames(socket, most), do: set_options(socket, active: :once, packet_size: most)
+  def enable_frames(socket, max), do: set_options(socket, active: :once, packet_size: max)
 
   @spec activate_once(t()) :: :ok | {:error, term()}
   def activate_once(socket), do: set_options(socket, active: :once)
@@ -305,7 +310,7 @@ defmodule Situ.Link.Wire.Socket do
   @doc "Describes for people why a connection failed."
   @spec reason_text(term()) :: String.t()
   def reason_text({:tls_alert, {_kind, text}}), do: String.trim(to_string(text))
-  def reason_text({:options, what}), do: "TLS option #{inspect(what)}"
+  def reason_text({:options, option}), do: "TLS option #{inspect(option)}"
   def reason_text(:closed), do: "the other side closed the connection"
   def reason_text(:timeout), do: "the connection timed out"
   def reason_text(reason) when is_atom(reason), do: to_string(:inet.format_error(reason))

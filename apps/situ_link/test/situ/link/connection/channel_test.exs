@@ -22,14 +22,14 @@ defmodule Situ.Link.Connection.ChannelTest do
         end)
 
       # The credit that was not sent yet is less than a quarter of the window.
-      assert channel.under_way == 0
+      assert channel.backlog == 0
       assert (Enum.sum(sizes) - told) * 4 < window
     end
   end
 
   property "chunks form the batch again, and all but the last are paid for" do
-    forall pieces <- nonempty_list(binary()) do
-      {last, before} = List.pop_at(pieces, -1)
+    forall parts <- nonempty_list(binary()) do
+      {last, before} = List.pop_at(parts, -1)
 
       channel =
         Enum.reduce(before, channel(10), fn piece, channel ->
@@ -37,9 +37,9 @@ defmodule Situ.Link.Connection.ChannelTest do
           channel
         end)
 
-      {:whole, body, channel} = Channel.add_part(channel, true, last)
-      assert body == IO.iodata_to_binary(pieces)
-      assert channel.unpaid == IO.iodata_length(before)
+      {:complete, body, channel} = Channel.add_part(channel, true, last)
+      assert body == IO.iodata_to_binary(parts)
+      assert channel.credit_due == IO.iodata_length(before)
     end
   end
 

@@ -4,7 +4,7 @@ defmodule Situ.Link.Recording.ReplyDecoderTest do
   use Situ.Test.Property
   alias Situ.Link.Recording.ReplyDecoder
 
-  @readers ~w(decode_info decode_number decode_summary decode_tracks decode_spans decode_strings decode_news)a
+  @readers ~w(decode_info decode_number decode_summary decode_tracks decode_spans decode_strings decode_notice)a
 
   defp all(body) do
     for(name <- @readers, do: apply(ReplyDecoder, name, [body])) ++

@@ -18,7 +18,7 @@ defmodule Situ.Live.Template.Compiler do
   defp compile_nodes(nodes, level) do
     {static, values} = nodes |> trim_nodes() |> nodes_to_parts() |> join_parts([""], [])
 
-    {vars, binds} =
+    {vars, bindings} =
       values
       |> Enum.with_index()
       |> Enum.map(fn {ast, i} ->
@@ -28,7 +28,7 @@ defmodule Situ.Live.Template.Compiler do
       |> Enum.unzip()
 
     quote do
-      unquote_splicing(binds)
+      unquote_splicing(bindings)
 
       %Rendered{
         static: unquote(static),
@@ -64,7 +64,7 @@ defmodule Situ.Live.Template.Compiler do
   defp single_root?(nodes) do
     case trim_nodes(nodes) do
       [{:element, <<c, _::binary>>, attributes, _, _}] when c in ?a..?z ->
-        not Enum.any?(attributes, &match?({special, _} when special in [":if", ":for"], &1))
+        not Enum.any?(attributes, &match?({directives, _} when directives in [":if", ":for"], &1))
 
       _ ->
         false
@@ -74,16 +74,16 @@ defmodule Situ.Live.Template.Compiler do
   # -- values
 
   defp compile_value(ast, level) do
-    made = quote(do: unquote(Html).escape(unquote(expand_assigns(ast))))
+    escaped = quote(do: unquote(Html).escape(unquote(expand_assigns(ast))))
 
     case list_read_assigns(ast, level) do
       :all ->
-        made
+        escaped
 
       names ->
         quote do
           if unquote(Runtime).changed?(var!(assigns), unquote(names)),
-            do: unquote(made),
+            do: unquote(escaped),
             else: :unchanged
         end
     end
@@ -138,15 +138,15 @@ defmodule Situ.Live.Template.Compiler do
   defp node_to_parts({:expr, ast}), do: [{:value, ast}]
 
   defp node_to_parts({:element, name, attributes, children, at}) do
-    {special, rest} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
-    special = Map.new(special)
-    check_special(special, name, at)
+    {directives, rest} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
+    directives = Map.new(directives)
+    check_special(directives, name, at)
 
-    case special do
+    case directives do
       %{":for" => {:expr, generator}} ->
         inner = attributes |> List.keydelete(":for", 0) |> List.keydelete(":key", 0)
         inner = List.keydelete(inner, ":if", 0)
-        [{:value, compile_loop(generator, special, {:element, name, inner, children, at}, at)}]
+        [{:value, compile_loop(generator, directives, {:element, name, inner, children, at}, at)}]
 
       %{":if" => {:expr, condition}} ->
         inner = {:element, name, List.keydelete(attributes, ":if", 0), children, at}
@@ -154,12 +154,12 @@ defmodule Situ.Live.Template.Compiler do
         [{:value, quote(line: at.line, do: if(unquote(condition), do: unquote(body)))}]
 
       _ ->
-        element_to_parts(name, rest, special, children, at)
+        element_to_parts(name, rest, directives, children, at)
     end
   end
 
-  defp check_special(special, name, at) do
-    for {key, value} <- special do
+  defp check_special(directives, name, at) do
+    for {key, value} <- directives do
       unless key in [":if", ":for", ":key", ":let"],
         do:
           Parser.raise_error(at, "unknown #{key} on <#{name}>: expected :if, :for, :key or :let")
@@ -168,17 +168,17 @@ defmodule Situ.Live.Template.Compiler do
         do: Parser.raise_error(at, "#{key} on <#{name}> needs braces")
     end
 
-    if special[":key"] && !special[":for"],
+    if directives[":key"] && !directives[":for"],
       do: Parser.raise_error(at, ":key on <#{name}> without :for")
   end
 
   # On a tag with `:for`, `:if` filters the entries.
-  defp compile_loop(generator, special, element, at) do
+  defp compile_loop(generator, directives, element, at) do
     {static, values} = [element] |> nodes_to_parts() |> join_parts([""], [])
     fingerprint = template_fingerprint(static, values)
     entry = Enum.map(values, &compile_value(&1, :inner))
-    key = with {:expr, key} <- special[":key"], do: key
-    filter = with {:expr, condition} <- special[":if"], do: condition
+    key = with {:expr, key} <- directives[":key"], do: key
+    filter = with {:expr, condition} <- directives[":if"], do: condition
     {pattern, enumerable} = split_generator(generator, at)
 
     filters = if filter, do: [filter], else: []
@@ -213,17 +213,17 @@ defmodule Situ.Live.Template.Compiler do
 
   # -- tags and components
 
-  defp element_to_parts("." <> name, attributes, special, children, at) do
+  defp element_to_parts("." <> name, attributes, directives, children, at) do
     fun = {:&, [], [{:/, [], [{String.to_atom(name), [line: at.line], nil}, 1]}]}
-    component_to_parts(fun, attributes, special, children, at)
+    component_to_parts(fun, attributes, directives, children, at)
   end
 
-  defp element_to_parts(<<c, _::binary>> = name, attributes, special, children, at)
+  defp element_to_parts(<<c, _::binary>> = name, attributes, directives, children, at)
        when c in ?A..?Z do
     case Code.string_to_quoted(name <> "()", file: at.file, line: at.line) do
       {:ok, {{:., _, _} = dot, _, []}} ->
         fun = {:&, [], [{:/, [], [{dot, [no_parens: true, line: at.line], []}, 1]}]}
-        component_to_parts(fun, attributes, special, children, at)
+        component_to_parts(fun, attributes, directives, children, at)
 
       _ ->
         Parser.raise_error(at, "<#{name}> does not call a component; write <Module.function>")
@@ -233,8 +233,8 @@ defmodule Situ.Live.Template.Compiler do
   defp element_to_parts(":" <> name, _, _, _, at),
     do: Parser.raise_error(at, "the slot <:#{name}> must be directly inside a component")
 
-  defp element_to_parts(name, attributes, special, children, at) do
-    if special != %{},
+  defp element_to_parts(name, attributes, directives, children, at) do
+    if directives != %{},
       do: Parser.raise_error(at, ":let on <#{name}> works only on components and slots")
 
     open = [{:text, "<" <> name} | Enum.flat_map(attributes, &attribute_to_parts/1)]
@@ -267,15 +267,15 @@ defmodule Situ.Live.Template.Compiler do
   # A value in single quotes may contain double quotes.
   defp escape_quotes(text), do: String.replace(text, "\"", "&quot;")
 
-  defp component_to_parts(fun, attributes, special, children, at) do
+  defp component_to_parts(fun, attributes, directives, children, at) do
     children = if children == :void, do: [], else: children
     {slots, inner} = Enum.split_with(children, &match?({:element, ":" <> _, _, _, _}, &1))
-    named = slots |> Enum.group_by(&elem(&1, 1)) |> Enum.map(&compile_slots/1)
+    slot_pairs = slots |> Enum.group_by(&elem(&1, 1)) |> Enum.map(&compile_slots/1)
 
     inner_block =
-      if blank_nodes?(inner), do: [], else: [compile_slot("inner_block", special, [], inner)]
+      if blank_nodes?(inner), do: [], else: [compile_slot("inner_block", directives, [], inner)]
 
-    pairs = [inner_block: inner_block] ++ named ++ attribute_pairs(attributes)
+    pairs = [inner_block: inner_block] ++ slot_pairs ++ attribute_pairs(attributes)
     map = {:%{}, [], [{:__changed__, nil} | pairs]}
 
     map =
@@ -294,22 +294,27 @@ defmodule Situ.Live.Template.Compiler do
   defp compile_slots({":" <> name, elements}) do
     lists =
       for {:element, _, attributes, children, at} <- elements do
-        {special, attributes} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
-        special = Map.new(special)
-        check_special(special, ":" <> name, at)
+        {directives, attributes} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
+        directives = Map.new(directives)
+        check_special(directives, ":" <> name, at)
 
-        one =
-          compile_slot(name, special, attributes, if(children == :void, do: [], else: children))
+        slot =
+          compile_slot(
+            name,
+            directives,
+            attributes,
+            if(children == :void, do: [], else: children)
+          )
 
-        repeat_slot(one, special, at)
+        repeat_slot(slot, directives, at)
       end
 
     {String.to_atom(name), quote(do: Enum.concat(unquote(lists)))}
   end
 
-  defp repeat_slot(slot, %{":for" => {:expr, generator}} = special, at) do
+  defp repeat_slot(slot, %{":for" => {:expr, generator}} = directives, at) do
     {pattern, enumerable} = split_generator(generator, at)
-    clauses = [{:<-, [], [pattern, enumerable]} | if_filter(special)]
+    clauses = [{:<-, [], [pattern, enumerable]} | if_filter(directives)]
     {:for, [], clauses ++ [[do: slot]]}
   end
 
@@ -321,9 +326,9 @@ defmodule Situ.Live.Template.Compiler do
   defp if_filter(%{":if" => {:expr, condition}}), do: [condition]
   defp if_filter(_), do: []
 
-  defp compile_slot(name, special, attributes, children) do
+  defp compile_slot(name, directives, attributes, children) do
     argument =
-      case special do
+      case directives do
         %{":let" => {:expr, pattern}} -> pattern
         _ -> Macro.var(:_, nil)
       end

@@ -7,7 +7,7 @@ defmodule Situ.Live.Template.Parser do
   #
   # `ctx` contains the file, line, column and the indentation that the heredoc removed.
 
-  @void ~w(area base br col embed hr img input link meta param source track wbr)
+  @void_elements ~w(area base br col embed hr img input link meta param source track wbr)
   @space [?\s, ?\n, ?\t, ?\r]
   @name_end [?/, ?>, ?= | @space]
 
@@ -98,17 +98,17 @@ defmodule Situ.Live.Template.Parser do
   defp parse_element("<" <> source, ctx) do
     {name, rest} = take_name(source)
 
-    {attributes, how, rest, inner} =
+    {attributes, ending, rest, inner} =
       parse_attributes(rest, advance_position(ctx, "<" <> name), ctx, [])
 
-    {no_curly, attributes} =
+    {marks, attributes} =
       Enum.split_with(attributes, &match?({"phx-no-curly-interpolation", _}, &1))
 
-    inner = if no_curly == [], do: inner, else: %{inner | curly?: false}
+    inner = if marks == [], do: inner, else: %{inner | curly?: false}
     at = Map.take(ctx, [:file, :line, :column])
 
     cond do
-      how == :closed or name in @void ->
+      ending == :closed or name in @void_elements ->
         {{:element, name, attributes, :void, at}, rest, %{inner | curly?: ctx.curly?}}
 
       name in ["script", "style"] ->
@@ -198,9 +198,9 @@ defmodule Situ.Live.Template.Parser do
   defp take_name(source), do: take_while(source, 0, &(&1 not in @name_end))
   defp take_space(source), do: take_while(source, 0, &(&1 in @space))
 
-  defp take_while(source, n, wanted?) do
-    if n < byte_size(source) and wanted?.(:binary.at(source, n)),
-      do: take_while(source, n + 1, wanted?),
+  defp take_while(source, n, accept?) do
+    if n < byte_size(source) and accept?.(:binary.at(source, n)),
+      do: take_while(source, n + 1, accept?),
       else: split_at(source, n)
   end
 
@@ -229,10 +229,10 @@ defmodule Situ.Live.Template.Parser do
 
   @doc false
   @spec raise_error(position(), String.t()) :: no_return()
-  def raise_error(at, what) do
-    raise SyntaxError, file: at.file, line: at.line, column: at.column, description: what
+  def raise_error(at, description) do
+    raise SyntaxError, file: at.file, line: at.line, column: at.column, description: description
   end
 
   @doc false
-  def void_element?(name), do: name in @void
+  def void_element?(name), do: name in @void_elements
 end

@@ -15,8 +15,8 @@ defmodule Situ.Live.Template.Runtime do
         value
 
       _ ->
-        known = assigns |> Map.keys() |> Enum.reject(&(&1 == :__changed__))
-        raise KeyError, message: "no assign @#{name}; available: #{inspect(known)}"
+        available = assigns |> Map.keys() |> Enum.reject(&(&1 == :__changed__))
+        raise KeyError, message: "no assign @#{name}; available: #{inspect(available)}"
     end
   end
 

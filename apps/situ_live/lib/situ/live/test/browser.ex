@@ -6,8 +6,17 @@ defmodule Situ.Live.Test.Browser do
   alias Situ.Live.ViewServer
   alias Situ.Live.Test.DiffTree
 
-  defstruct [:view, :topic, :join, tree: %{}, rows: %{}, events: [], visits: [], title: nil] ++
-              [ref: 1, waiting: %{}, down: nil]
+  defstruct [
+              :view,
+              :topic,
+              :join_result,
+              tree: %{},
+              rows: %{},
+              events: [],
+              visits: [],
+              title: nil
+            ] ++
+              [ref: 1, callers: %{}, exit_reason: nil]
 
   def start_link(join), do: GenServer.start_link(__MODULE__, join)
 
@@ -19,28 +28,28 @@ defmodule Situ.Live.Test.Browser do
   end
 
   @impl true
-  def handle_call(:joined, from, %{join: nil} = state),
-    do: {:noreply, %{state | waiting: Map.put(state.waiting, "join", from)}}
+  def handle_call(:joined, from, %{join_result: nil} = state),
+    do: {:noreply, %{state | callers: Map.put(state.callers, "join", from)}}
 
-  def handle_call(:joined, _from, state), do: {:reply, state.join, state}
+  def handle_call(:joined, _from, state), do: {:reply, state.join_result, state}
 
   def handle_call({:push, event, payload}, from, state) do
     ref = Integer.to_string(state.ref)
     send(state.view, {:situ_live, ref, event, payload})
-    {:noreply, %{state | ref: state.ref + 1, waiting: Map.put(state.waiting, ref, from)}}
+    {:noreply, %{state | ref: state.ref + 1, callers: Map.put(state.callers, ref, from)}}
   end
 
   def handle_call(:html, _from, state),
     do: {:reply, DiffTree.to_html(state.tree, state.rows), state}
 
-  def handle_call(:view, _from, state), do: {:reply, {state.view, state.down}, state}
+  def handle_call(:view, _from, state), do: {:reply, {state.view, state.exit_reason}, state}
   def handle_call(:title, _from, state), do: {:reply, state.title, state}
   def handle_call(:visits, _from, state), do: {:reply, Enum.reverse(state.visits), state}
 
   def handle_call({:events, name}, _from, state) do
-    {mine, others} = Enum.split_with(Enum.reverse(state.events), &match?([^name | _], &1))
+    {matching, others} = Enum.split_with(Enum.reverse(state.events), &match?([^name | _], &1))
 
-    {:reply, Enum.map(mine, fn [_, payload | _] -> payload end),
+    {:reply, Enum.map(matching, fn [_, payload | _] -> payload end),
      %{state | events: Enum.reverse(others)}}
   end
 
@@ -51,15 +60,20 @@ defmodule Situ.Live.Test.Browser do
   end
 
   def handle_info({:DOWN, _, _, _, reason}, state) do
-    for {_, from} <- state.waiting, do: GenServer.reply(from, {:error, {:view_down, reason}})
+    for {_, from} <- state.callers, do: GenServer.reply(from, {:error, {:view_down, reason}})
 
     {:noreply,
-     %{state | down: reason, waiting: %{}, join: state.join || {:error, {:view_down, reason}}}}
+     %{
+       state
+       | exit_reason: reason,
+         callers: %{},
+         join_result: state.join_result || {:error, {:view_down, reason}}
+     }}
   end
 
   defp handle_message("phx_reply", "join", %{"status" => status, "response" => response}, state) do
     result = if status == "ok", do: :ok, else: {:error, response}
-    state = state |> apply_diff(response["rendered"] || %{}) |> Map.put(:join, result)
+    state = state |> apply_diff(response["rendered"] || %{}) |> Map.put(:join_result, result)
     reply_to_waiting(state, "join", result)
   end
 
@@ -75,9 +89,9 @@ defmodule Situ.Live.Test.Browser do
     do: %{state | visits: [{String.to_existing_atom(kind), to} | state.visits]}
 
   defp reply_to_waiting(state, ref, result) do
-    {from, waiting} = Map.pop(state.waiting, ref)
+    {from, callers} = Map.pop(state.callers, ref)
     if from, do: GenServer.reply(from, result)
-    %{state | waiting: waiting}
+    %{state | callers: callers}
   end
 
   defp apply_diff(state, diff) when diff == %{}, do: state
@@ -100,17 +114,17 @@ defmodule Situ.Live.Test.Browser do
 
   # Only the page keeps the rows of a stream.
   defp apply_stream({[ref, inserts, deletes | reset], htmls}, rows) do
-    kept = if reset == [true], do: [], else: Map.get(rows, ref, [])
-    kept = Enum.reject(kept, fn {id, _} -> id in deletes end)
+    list = if reset == [true], do: [], else: Map.get(rows, ref, [])
+    list = Enum.reject(list, fn {id, _} -> id in deletes end)
 
-    kept =
+    list =
       inserts
       |> Enum.zip(htmls)
-      |> Enum.reduce(kept, fn {[id, at, limit, _], html}, kept ->
-        insert_row(kept, {id, html}, at, limit)
+      |> Enum.reduce(list, fn {[id, at, limit, _], html}, list ->
+        insert_row(list, {id, html}, at, limit)
       end)
 
-    Map.put(rows, ref, kept)
+    Map.put(rows, ref, list)
   end
 
   defp insert_row(rows, {id, _} = row, at, limit) do

@@ -51,20 +51,25 @@ defmodule Situ.Live.Test.DiffTree do
   defp merge_keyed(old, keyed, diff) do
     {count, keyed} = Map.pop!(keyed, "kc")
     {moved?, keyed} = Map.pop(keyed, "km", false)
-    before = Map.get(old, "k", %{})
+    old_entries = Map.get(old, "k", %{})
 
     if not moved? and Enum.any?(keyed, fn {_, entry} -> not is_map(entry) end),
       do: raise(ArgumentError, "an entry moved, but km is not set")
 
     entries =
-      Enum.reduce(keyed, before, fn
-        {i, [from, change]}, acc -> Map.put(acc, i, merge_node(before["#{from}"], change))
-        {i, from}, acc when is_integer(from) -> Map.put(acc, i, Map.fetch!(before, "#{from}"))
-        {i, change}, acc -> Map.update(acc, i, change, &merge_node(&1, change))
+      Enum.reduce(keyed, old_entries, fn
+        {i, [from, change]}, acc ->
+          Map.put(acc, i, merge_node(old_entries["#{from}"], change))
+
+        {i, from}, acc when is_integer(from) ->
+          Map.put(acc, i, Map.fetch!(old_entries, "#{from}"))
+
+        {i, change}, acc ->
+          Map.update(acc, i, change, &merge_node(&1, change))
       end)
 
-    kept = for i <- 0..(count - 1)//1, into: %{}, do: {"#{i}", Map.fetch!(entries, "#{i}")}
-    old |> Map.put("k", Map.put(kept, "kc", count)) |> put_stream(diff)
+    remaining = for i <- 0..(count - 1)//1, into: %{}, do: {"#{i}", Map.fetch!(entries, "#{i}")}
+    old |> Map.put("k", Map.put(remaining, "kc", count)) |> put_stream(diff)
   end
 
   defp put_stream(tree, %{"stream" => stream}), do: Map.put(tree, "stream", stream)
@@ -79,23 +84,23 @@ defmodule Situ.Live.Test.DiffTree do
 
   @spec to_html(t(), %{optional(String.t()) => [{String.t(), String.t()}]}) :: String.t()
   def to_html(tree, rows) do
-    kept = fn
+    render_list = fn
       %{"stream" => [ref | _]}, _islands -> for {_id, html} <- Map.get(rows, ref, []), do: html
       node, islands -> render_entries(node, islands)
     end
 
-    tree |> render_node(Map.get(tree, "c", %{}), kept) |> IO.iodata_to_binary()
+    tree |> render_node(Map.get(tree, "c", %{}), render_list) |> IO.iodata_to_binary()
   end
 
   defp render_node(text, _, _) when is_binary(text), do: text
 
-  defp render_node(cid, islands, list) when is_integer(cid),
-    do: islands["#{cid}"] |> render_node(islands, list)
+  defp render_node(cid, islands, render_list) when is_integer(cid),
+    do: islands["#{cid}"] |> render_node(islands, render_list)
 
-  defp render_node(%{"k" => _} = node, islands, list), do: list.(node, islands)
+  defp render_node(%{"k" => _} = node, islands, render_list), do: render_list.(node, islands)
 
-  defp render_node(%{"s" => texts} = node, islands, list),
-    do: interleave_values(texts, node, 0, islands, list)
+  defp render_node(%{"s" => texts} = node, islands, render_list),
+    do: interleave_values(texts, node, 0, islands, render_list)
 
   defp render_entries(%{"k" => keyed, "s" => texts}, islands) do
     for i <- 0..(keyed["kc"] - 1)//1,
@@ -104,12 +109,13 @@ defmodule Situ.Live.Test.DiffTree do
 
   defp interleave_values([text], _node, _, _, _), do: [text]
 
-  defp interleave_values([text | texts], node, i, islands, list) do
+  defp interleave_values([text | texts], node, i, islands, render_list) do
     value = Map.fetch!(node, Integer.to_string(i))
 
     [
       text,
-      render_node(value, islands, list) | interleave_values(texts, node, i + 1, islands, list)
+      render_node(value, islands, render_list)
+      | interleave_values(texts, node, i + 1, islands, render_list)
     ]
   end
 

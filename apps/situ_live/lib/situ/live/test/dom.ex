@@ -93,19 +93,19 @@ defmodule Situ.Live.Test.Dom do
     |> String.split()
     |> Enum.map(&parse_compound/1)
     |> Enum.reduce(nodes, fn
-      wanted, ^nodes ->
-        find_below(nodes, wanted)
+      parts, ^nodes ->
+        find_below(nodes, parts)
 
-      wanted, found ->
-        found |> Enum.flat_map(fn {_, _, inner} -> find_below(inner, wanted) end) |> Enum.uniq()
+      parts, elements ->
+        elements |> Enum.flat_map(fn {_, _, inner} -> find_below(inner, parts) end) |> Enum.uniq()
     end)
   end
 
-  defp find_below(nodes, wanted) do
+  defp find_below(nodes, parts) do
     Enum.flat_map(nodes, fn
       {_, _, inner} = element ->
-        here = if Enum.all?(wanted, &matches_part?(&1, element)), do: [element], else: []
-        here ++ find_below(inner, wanted)
+        matches = if Enum.all?(parts, &matches_part?(&1, element)), do: [element], else: []
+        matches ++ find_below(inner, parts)
 
       _text ->
         []

@@ -17,7 +17,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   Record.defrecordp(:headers, @fields)
   Record.defrecordp(:http_request, Record.extract(:http_request, from_lib: @include))
 
-  @piece 65_536
+  @chunk_bytes 65_536
 
   # The heap limit for reading a head (`Situ.Live.Yaws`) does not apply to the handler.
   def dispatch(arg(opaque: ref) = arg) do
@@ -35,8 +35,8 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   # The handler's garbage must not count against the next head.
   defp restore_heap_limit(%{size: size} = limit) do
-    {:total_heap_size, held} = Process.info(self(), :total_heap_size)
-    if size > 0 and held > div(size, 8), do: :erlang.garbage_collect()
+    {:total_heap_size, heap_size} = Process.info(self(), :total_heap_size)
+    if size > 0 and heap_size > div(size, 8), do: :erlang.garbage_collect()
     Process.flag(:max_heap_size, limit)
   end
 
@@ -150,20 +150,20 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  @named Keyword.keys(@fields) -- [:other, :cookie, :authorization, :host]
+  @header_fields Keyword.keys(@fields) -- [:other, :cookie, :authorization, :host]
 
   defp header_map(
          headers(other: other, cookie: cookies, authorization: auth, host: host) = record
        ) do
     values = headers(record)
 
-    named =
-      for field <- @named, (value = values[field]) not in [nil, :undefined], into: %{} do
+    known =
+      for field <- @header_fields, (value = values[field]) not in [nil, :undefined], into: %{} do
         {field |> Atom.to_string() |> String.replace("_", "-"), to_binary(value)}
       end
 
     others =
-      for {:http_header, _, name, _, value} <- other, into: named do
+      for {:http_header, _, name, _, value} <- other, into: known do
         {name |> to_string() |> String.downcase(), to_binary(value)}
       end
 
@@ -180,11 +180,11 @@ defmodule Situ.Live.Yaws.Dispatch do
   defp put_present(map, name, value), do: Map.put(map, name, value)
 
   defp authorization_value({_user, _password, original}), do: to_binary(original)
-  defp authorization_value(none) when none in [nil, :undefined], do: nil
+  defp authorization_value(missing) when missing in [nil, :undefined], do: nil
   defp authorization_value(value), do: to_binary(value)
 
   # If there are several host headers, none of them is used.
-  defp host_value(none) when none in [nil, :undefined], do: nil
+  defp host_value(missing) when missing in [nil, :undefined], do: nil
   defp host_value({_several}), do: ""
   defp host_value(host), do: to_binary(host)
 
@@ -220,9 +220,9 @@ defmodule Situ.Live.Yaws.Dispatch do
     do: {:ok, acc |> Enum.reverse() |> IO.iodata_to_binary()}
 
   defp read_chunks(socket, length, deadline, acc) do
-    left_ms = deadline - System.monotonic_time(:millisecond)
+    remaining_ms = deadline - System.monotonic_time(:millisecond)
 
-    case left_ms > 0 and receive_bytes(socket, min(length, @piece), left_ms) do
+    case remaining_ms > 0 and receive_bytes(socket, min(length, @chunk_bytes), remaining_ms) do
       {:ok, bytes} -> read_chunks(socket, length - byte_size(bytes), deadline, [bytes | acc])
       _ -> {:error, 408}
     end

@@ -6,7 +6,7 @@ defmodule Situ.Live.Yaws.ResponseWriter do
 
   @compile {:no_warn_undefined, [:yaws_api]}
 
-  @piece 65_536
+  @chunk_bytes 65_536
 
   @type socket :: :gen_tcp.socket() | {:ssl, :ssl.sslsocket()}
 
@@ -124,7 +124,7 @@ defmodule Situ.Live.Yaws.ResponseWriter do
   defp send_file_chunks(_file, _socket, 0), do: :ok
 
   defp send_file_chunks(file, socket, length) do
-    with {:ok, bytes} <- :file.read(file, min(length, @piece)),
+    with {:ok, bytes} <- :file.read(file, min(length, @chunk_bytes)),
          :ok <- :ssl.send(socket, bytes) do
       send_file_chunks(file, socket, length - byte_size(bytes))
     else

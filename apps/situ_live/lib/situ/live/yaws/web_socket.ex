@@ -6,7 +6,7 @@ defmodule Situ.Live.Yaws.WebSocket do
 
   @compile {:no_warn_undefined, [:yaws_websockets]}
 
-  defstruct [:handler, :arg, :request, :ref, :seen, :state, open?: false]
+  defstruct [:handler, :arg, :request, :ref, :last_seen, :state, open?: false]
 
   # The handler starts in handle_open, because nothing may be sent earlier.
   def init([_arg, {{handler, arg, _opts, request}, ref}]) do
@@ -16,14 +16,14 @@ defmodule Situ.Live.Yaws.WebSocket do
        arg: arg,
        request: request,
        ref: ref,
-       seen: Connections.register(ref)
+       last_seen: Connections.register(ref)
      }}
   end
 
-  def handle_open(wire, %__MODULE__{} = socket) do
-    case with_crash_guard(socket, fn -> socket.handler.init(socket.request, socket.arg) end) do
+  def handle_open(connection, %__MODULE__{} = socket) do
+    case with_crash_guard(fn -> socket.handler.init(socket.request, socket.arg) end) do
       {:ok, state} -> {:ok, put_open_state(socket, state)}
-      {:push, frames, state} -> push_first(wire, frames, put_open_state(socket, state))
+      {:push, frames, state} -> push_first(connection, frames, put_open_state(socket, state))
       {:error, reason} when is_binary(reason) -> {:error, {1008, reason}}
       _ -> {:error, {1011, "internal error"}}
     end
@@ -32,16 +32,15 @@ defmodule Situ.Live.Yaws.WebSocket do
   defp put_open_state(socket, state),
     do: %{socket | state: state, open?: true, request: nil, arg: nil}
 
-  defp push_first(wire, frames, socket) do
-    Enum.each(to_frames(frames), &:yaws_websockets.send(wire, &1))
+  defp push_first(connection, frames, socket) do
+    Enum.each(to_frames(frames), &:yaws_websockets.send(connection, &1))
     {:ok, socket}
   end
 
   def handle_message({opcode, data}, %__MODULE__{} = socket) when opcode in [:text, :binary] do
-    Connections.touch(socket.seen)
+    Connections.touch(socket.last_seen)
 
-    socket
-    |> with_crash_guard(fn -> socket.handler.handle_in({data, opcode: opcode}, socket.state) end)
+    with_crash_guard(fn -> socket.handler.handle_in({data, opcode: opcode}, socket.state) end)
     |> to_yaws_result(socket)
   end
 
@@ -55,8 +54,7 @@ defmodule Situ.Live.Yaws.WebSocket do
         {:noreply, socket}
 
       function_exported?(socket.handler, :handle_info, 2) ->
-        socket
-        |> with_crash_guard(fn -> socket.handler.handle_info(message, socket.state) end)
+        with_crash_guard(fn -> socket.handler.handle_info(message, socket.state) end)
         |> to_yaws_result(socket)
 
       true ->
@@ -66,7 +64,7 @@ defmodule Situ.Live.Yaws.WebSocket do
 
   def terminate(reason, %__MODULE__{open?: true} = socket) do
     if function_exported?(socket.handler, :terminate, 2),
-      do: with_crash_guard(socket, fn -> socket.handler.terminate(reason, socket.state) end)
+      do: with_crash_guard(fn -> socket.handler.terminate(reason, socket.state) end)
   end
 
   def terminate(_, _), do: :ok
@@ -101,7 +99,7 @@ defmodule Situ.Live.Yaws.WebSocket do
     do: {opcode, IO.iodata_to_binary(data)}
 
   # An uncaught exception would be reported with the state of the process, including cookies and tokens.
-  defp with_crash_guard(_socket, fun) do
+  defp with_crash_guard(fun) do
     fun.()
   catch
     kind, reason ->

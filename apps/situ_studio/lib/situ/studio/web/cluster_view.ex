@@ -98,7 +98,7 @@ defmodule Situ.Studio.Web.ClusterView do
           <th scope="col">Round trip</th></tr></thead>
         <tbody>
           <tr :for={n <- @now.nodes} :key={n.node}>
-            <th scope="row">{n.node}{if n.node == @now.here, do: " (here)"}</th>
+            <th scope="row">{n.node}{if n.node == @now.own_node, do: " (here)"}</th>
             <td class="text">{Enum.join(n.labels ++ n.devices, ", ")}</td>
             <td>{count_parts(@now, n.node)}</td>
             <td>{format_cores(n)}</td>

@@ -13,7 +13,7 @@ defmodule Situ.Cluster.Log.Nats.Api do
     case request_json(log, log.api <> "STREAM.INFO." <> name, "", timeout) do
       {:ok, %{"config" => _} = info} -> {:ok, info}
       {:ok, %{"error" => error}} -> {:error, server_error(error)}
-      {:ok, _other} -> {:error, away_error("the reply is incomplete")}
+      {:ok, _other} -> {:error, unreachable_error("the reply is incomplete")}
       {:error, error} -> {:error, error}
     end
   end
@@ -25,7 +25,7 @@ defmodule Situ.Cluster.Log.Nats.Api do
       {:ok, %{"config" => _}} -> :ok
       {:ok, %{"error" => %{"err_code" => 10_058}}} -> :ok
       {:ok, %{"error" => error}} -> {:error, server_error(error)}
-      {:ok, _other} -> {:error, away_error("the reply is incomplete")}
+      {:ok, _other} -> {:error, unreachable_error("the reply is incomplete")}
       {:error, error} -> {:error, error}
     end
   end
@@ -36,7 +36,7 @@ defmodule Situ.Cluster.Log.Nats.Api do
     case request_json(log, log.api <> "STREAM.UPDATE." <> name, JSON.encode(config), @api_ms) do
       {:ok, %{"config" => _}} -> :ok
       {:ok, %{"error" => error}} -> {:error, server_error(error)}
-      {:ok, _other} -> {:error, away_error("the reply is incomplete")}
+      {:ok, _other} -> {:error, unreachable_error("the reply is incomplete")}
       {:error, error} -> {:error, error}
     end
   end
@@ -52,9 +52,11 @@ defmodule Situ.Cluster.Log.Nats.Api do
   def reject_silence(:silent),
     do:
       {:error,
-       away_error("JetStream is not responding: it has no leader, or too few servers are running")}
+       unreachable_error(
+         "JetStream is not responding: it has no leader, or too few servers are running"
+       )}
 
-  def reject_silence(answer), do: answer
+  def reject_silence(result), do: result
 
   @doc """
   Sends a request with headers, as `request_json/4` does. Returns `:silent` if the server has no responder for it.
@@ -68,19 +70,19 @@ defmodule Situ.Cluster.Log.Nats.Api do
 
       {:ok, %{data: body}} ->
         with {:error, _} <- JSON.decode(body),
-             do: {:error, away_error("the reply is not valid JSON")}
+             do: {:error, unreachable_error("the reply is not valid JSON")}
 
       {:error, reason} ->
-        {:error, away_error(reason)}
+        {:error, unreachable_error(reason)}
     end
   end
 
   @doc "Builds the error for a log that is temporarily unreachable."
-  @spec away_error(:down | :timeout | String.t()) :: Error.t()
-  def away_error(:down), do: away_error("the connection is down")
-  def away_error(:timeout), do: away_error("it did not reply in time")
+  @spec unreachable_error(:down | :timeout | String.t()) :: Error.t()
+  def unreachable_error(:down), do: unreachable_error("the connection is down")
+  def unreachable_error(:timeout), do: unreachable_error("it did not reply in time")
 
-  def away_error(why) do
+  def unreachable_error(why) do
     Error.new(:log_away, "the log is unreachable: #{why}",
       why: "the last write may or may not have succeeded",
       fix: "repeat the same write: nothing is written twice"

@@ -8,28 +8,28 @@ defmodule Situ.Cluster.Log.Nats.Subjects do
 
   @doc "Lists the streams whose JetStream names begin with `prefix`, and the keys in the JetStream stream `keys`."
   @spec list_subjects(Nats.t(), String.t(), String.t()) ::
-          {:ok, [Log.about()]} | {:error, Error.t()}
+          {:ok, [Log.subject_info()]} | {:error, Error.t()}
   def list_subjects(log, prefix, keys) do
     with {:ok, streams} <- list_streams(log, prefix, 0, []),
-         {:ok, of_keys} <- list_keys(log, keys, 0, []),
-         do: {:ok, streams ++ of_keys}
+         {:ok, key_infos} <- list_keys(log, keys, 0, []),
+         do: {:ok, streams ++ key_infos}
   end
 
   # The server returns the list in pages.
-  defp list_streams(log, prefix, offset, found) do
+  defp list_streams(log, prefix, offset, acc) do
     body = JSON.encode(%{"offset" => offset, "subject" => "situ.s.>"})
 
     case Api.request_json(log, log.api <> "STREAM.LIST", body, 10_000) do
       {:ok, %{"streams" => page, "total" => total}} when is_list(page) and page != [] ->
-        found = found ++ for(info <- page, about <- stream_summary(info, prefix), do: about)
+        acc = acc ++ for(info <- page, summary <- stream_summary(info, prefix), do: summary)
         next = offset + length(page)
-        if next < total, do: list_streams(log, prefix, next, found), else: {:ok, found}
+        if next < total, do: list_streams(log, prefix, next, acc), else: {:ok, acc}
 
       {:ok, %{"error" => error}} ->
         {:error, Api.server_error(error)}
 
       {:ok, _empty} ->
-        {:ok, found}
+        {:ok, acc}
 
       {:error, error} ->
         {:error, error}
@@ -61,20 +61,20 @@ defmodule Situ.Cluster.Log.Nats.Subjects do
     end
   end
 
-  defp list_keys(log, keys, offset, found) do
+  defp list_keys(log, keys, offset, acc) do
     body = JSON.encode(%{"subjects_filter" => "situ.k.>", "offset" => offset})
 
     case Api.request_json(log, log.api <> "STREAM.INFO." <> keys, body, 10_000) do
       {:ok, %{"state" => %{"subjects" => page}} = info} when map_size(page) > 0 ->
-        found = found ++ for({"situ.k." <> token, n} <- page, do: key_summary(token, n))
+        acc = acc ++ for({"situ.k." <> token, n} <- page, do: key_summary(token, n))
         next = offset + map_size(page)
-        if next < (info["total"] || 0), do: list_keys(log, keys, next, found), else: {:ok, found}
+        if next < (info["total"] || 0), do: list_keys(log, keys, next, acc), else: {:ok, acc}
 
       {:ok, %{"error" => error}} ->
         {:error, Api.server_error(error)}
 
       {:ok, _empty} ->
-        {:ok, found}
+        {:ok, acc}
 
       {:error, error} ->
         {:error, error}
@@ -103,6 +103,9 @@ defmodule Situ.Cluster.Log.Nats.Subjects do
   defp check_success({:ok, %{"success" => true}}), do: :ok
   defp check_success({:ok, %{"error" => %{"err_code" => 10_059}}}), do: :ok
   defp check_success({:ok, %{"error" => error}}), do: {:error, Api.server_error(error)}
-  defp check_success({:ok, _other}), do: {:error, Api.away_error("the reply is incomplete")}
+
+  defp check_success({:ok, _other}),
+    do: {:error, Api.unreachable_error("the reply is incomplete")}
+
   defp check_success({:error, error}), do: {:error, error}
 end
