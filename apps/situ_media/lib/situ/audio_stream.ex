@@ -99,10 +99,10 @@ defmodule Situ.AudioStream do
       iex> Enum.flat_map(mixed, &Situ.AudioBuffer.to_samples/1)
       [1, 11, 10]
 
-  Both streams need the same format. A gap in one stream is silent in the mix, and after one stream has closed, the other
-  continues alone. Where a stream overlaps itself (its times go back), the audio that arrived first is kept. Buffers are
-  emitted up to the time that both streams have reached. A gap in both streams whose silence would take more than 256 MiB
-  (hours of speech) is the error `:gap_too_long`, because it means that a clock was set.
+  Both streams need the same format. A gap in one stream is silent in the mix, and after one stream has closed, the
+  other continues alone. Where a stream overlaps itself (its times go back), the audio that arrived first is kept.
+  Buffers are emitted up to the time that both streams have reached. A gap in both streams whose silence would take
+  more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that a clock was set.
 
   #{Options.docs(Mixer.options())}
   """
@@ -120,10 +120,11 @@ defmodule Situ.AudioStream do
       iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
       [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
 
-  The time of an output buffer is exact to the sample: the time of the input buffer minus the duration of the audio after
-  the cut. If this time would not be later than the previous buffer (because input times do not agree with input
+  The time of an output buffer is exact to the sample: the time of the input buffer minus the duration of the audio
+  after the cut. If this time would not be later than the previous buffer (because input times do not agree with input
   lengths), the buffer is stamped 1 ns after the previous one. When the format changes, the rest of the old format is
-  handled as `tail:` specifies. The time of that last buffer is the end of its audio, without the silence that pads it.
+  handled as `tail:` specifies. The time of that last buffer is the end of its audio, without the silence that pads
+  it.
 
   #{Options.docs(Reframer.options())}
   """
@@ -216,8 +217,8 @@ defmodule Situ.AudioStream do
     do: stream |> reframe(duration: 10_000_000, tail: :keep) |> Situ.via(NoiseGate, opts)
 
   @doc """
-  Lowers the volume while a stream of booleans is true, for example of a microphone while the loudspeaker is speaking, or
-  of music while somebody is talking.
+  Lowers the volume while a stream of booleans is true, for example of a microphone while the loudspeaker is speaking,
+  or of music while somebody is talking.
 
   The stream of booleans has at least one message for each change. Each buffer uses the last boolean that has arrived at
   or before the end of the buffer. In live pipelines a late boolean takes effect when it arrives; in recordings all of

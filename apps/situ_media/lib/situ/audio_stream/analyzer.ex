@@ -2,9 +2,9 @@ defmodule Situ.AudioStream.Analyzer do
   @moduledoc false
   # Extracts acoustic features. It is the component of `Situ.AudioStream.features/2`, which documents them.
   #
-  # The definitions follow \\psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
+  # The definitions follow \psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
   # (silence has entropy 0). The dither is seeded by the frame number, so results do not depend on how the audio was
-  # divided into buffers. The spectrum is the textbook transform (\\psi's is its conjugate, packed in fours).
+  # divided into buffers. The spectrum is the textbook transform (\psi's is its conjugate, packed in fours).
 
   @hz {:range, 0, 8_000_000}
   @schema [

@@ -1,6 +1,7 @@
 defmodule Situ.ImageOps.Geometry do
   @moduledoc false
-  # Geometric operations: crop, resize, letterbox, flip, rotate, warp and paste. `Situ.ImageOps` documents the functions.
+  # Geometric operations: crop, resize, letterbox, flip, rotate, warp and paste. `Situ.ImageOps` documents the
+  # functions.
   alias Situ.{DepthImage, Error, Image, Rect}
   alias Situ.Image.{Color, Format}
   alias Situ.ImageOps.{ArgumentCheck, CostEstimate}
