@@ -72,8 +72,7 @@ defmodule Situ.Options do
   A module can thus begin with its purpose, although its schema is defined later:
 
       defmodule Greeter do
-        @moduledoc false
-        # Greets people.
+        @moduledoc "Greets people."
         @schema [name: [type: :string, doc: "The person to greet."]]
         Situ.Options.add_to_moduledoc(__MODULE__, @schema)
       end

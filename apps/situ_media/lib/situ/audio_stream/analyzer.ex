@@ -1,29 +1,10 @@
 defmodule Situ.AudioStream.Analyzer do
   @moduledoc false
-  # Extracts acoustic features from overlapping frames (`Situ.AudioStream.features/2`), with one
-  # output stream for each feature.
+  # Extracts acoustic features. It is the component of `Situ.AudioStream.features/2`, which documents them.
   #
-  # | output | of each frame |
-  # |---|---|
-  # | `:log_energy` | natural logarithm of the mean square after the window; silence: -92.1 |
-  # | `:zero_crossing_rate` | sign changes per sample; an exact 0 breaks a crossing |
-  # | `:energy` | sum of power over `start_hz..end_hz` |
-  # | `:low_energy`, `:high_energy` | the same up to `low_end_hz`, from `high_start_hz` |
-  # | `:entropy` | spectral entropy of `entropy_hz` from `start_hz` on, 0..1 |
-  # | `:spectrum` | list of `{re, im}`, bins below half the FFT size, not scaled (with `spectrum: true`) |
-  # | `:power` | their squared magnitudes (with `power: true`) |
-  # | `:log_mel` | logarithms of the power of `mel_bands` bands, samples scaled to -1..1 |
-  # | `:mfcc` | the first `mfcc` cepstral coefficients (orthonormal DCT-II of `:log_mel`) |
-  #
-  # Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the
-  # next power of two for the Fourier transform. The time of a frame is the end of its last
-  # sample, exact to the sample. If there are several channels, only the first one is used.
-  # Integer samples are used unscaled (8 bit: 0..255), and floats are scaled to the 16-bit range.
-  #
-  # The definitions follow \\psi, with its errors fixed. Silence and bins without power do not
-  # make the entropy NaN (silence has entropy 0). The dither is seeded by the frame number, so
-  # results do not depend on how the audio was divided into buffers. The spectrum is the textbook
-  # transform (\\psi's is its conjugate, packed in fours).
+  # The definitions follow \psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
+  # (silence has entropy 0). The dither is seeded by the frame number, so results do not depend on how the audio was
+  # divided into buffers. The spectrum is the textbook transform (\psi's is its conjugate, packed in fours).
 
   @hz {:range, 0, 8_000_000}
   @schema [

@@ -1,8 +1,6 @@
 defmodule Situ.AudioStream.Level do
   @moduledoc false
-  # The level of a buffer of audio. `peak` and `rms` are fractions of full scale (the peak of the
-  # loudest channel, and the mean power of all channels). `peak_db` and `rms_db` are the same in
-  # decibels below full scale, at least -120.0. `channels` has `{peak, rms}` for each channel.
+  # The level of a buffer of audio. `Situ.AudioOps.level/1` documents the fields.
   @enforce_keys [:peak, :rms, :peak_db, :rms_db, :channels]
   defstruct [:peak, :rms, :peak_db, :rms_db, :channels]
 

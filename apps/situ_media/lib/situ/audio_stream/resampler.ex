@@ -1,12 +1,8 @@
 defmodule Situ.AudioStream.Resampler do
   @moduledoc false
-  # Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample.
-  #
-  # As a component (`Situ.AudioStream.resample/3`), it takes and emits audio. The filter has
-  # linear phase, and its delay is compensated: frame `k` of the result is `k / rate` after the
-  # first input frame. The time of an output buffer is the input time minus the duration that is
-  # still inside the filter. The rest is emitted when the input closes. The sample type and
-  # channels do not change. When the input format changes, the filter is flushed and restarted.
+  # Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample. It is the component of
+  # `Situ.AudioStream.resample/3`, which documents it. Outside a pipeline, call its functions; the filter is mutable
+  # native memory, so feed each filter value only once.
 
   @schema [
     rate: [
@@ -43,8 +39,6 @@ defmodule Situ.AudioStream.Resampler do
 
   @doc """
   Builds a filter that converts `format` to another rate.
-
-  Outside a pipeline, call its functions. The filter is mutable native memory, so feed each filter value only once:
 
       iex> format = Situ.AudioFormat.pcm(48_000)
       iex> {:ok, filter} = Situ.AudioStream.Resampler.new(format, rate: 16_000)

@@ -1,11 +1,8 @@
 defmodule Situ.Media.FFmpeg do
   @moduledoc false
-  # Finds and starts the programs `ffmpeg` and `ffprobe`.
-  #
-  # Decoders process untrusted bytes, so each runs in a separate operating system process: a crash
-  # there is an error here and never takes the VM down. The decoded data is returned over a local
-  # socket that is read on demand (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the
-  # decoder down and no data accumulates.
+  # Finds and starts the programs `ffmpeg` and `ffprobe`. Decoders process untrusted bytes, so each runs in a separate
+  # operating system process, where a crash cannot take the VM down. `Situ.Media.FFmpeg.Reader` reads the decoded data
+  # from a local socket on demand, so a slow pipeline slows the decoder down and no data accumulates.
   # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
 

@@ -1,14 +1,7 @@
 defmodule Situ.Media.FileTime do
   @moduledoc false
-  # Converts media time (0 at the start of a file) to originating time.
-  #
-  # Every source that reads a file takes `start_time:`
-  #
-  #   * `:file` (default): the file's own time. It is exact for recordings written by Situ; for other files it is their
-  #     creation time, or the epoch if the file does not state it. The same file gives the same times in every run, and
-  #     the pipeline's clock begins at the file's time.
-  #   * an integer: the originating time of media time 0, with the same effect on the pipeline's clock.
-  #   * `:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live.
+  # Converts media time (0 at the start of a file) to originating time, by the option `start_time:` of every source that
+  # reads a file. The pipeline's clock begins at the file's time unless the option is `:pipeline`.
 
   @type start_time :: :file | :pipeline | Situ.Time.t()
 
@@ -19,7 +12,9 @@ defmodule Situ.Media.FileTime do
       type: {:or, [{:in, [:file, :pipeline]}, :integer]},
       default: :file,
       doc:
-        "Originating time of media time 0, ns; `:file` or `:pipeline`, see `Situ.Media.FileTime`."
+        "Originating time of the start of the file, ns. `:file`: the file's own time, which is exact for recordings " <>
+          "written by Situ, and for other files their creation time (or the epoch if the file does not state it). " <>
+          "`:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live."
     ]
   end
 

@@ -6,7 +6,7 @@ defmodule Situ.Media.ImageSequence do
 
   Files of a folder or a pattern are sorted by the numbers in their names (`shot-2` before `shot-10`). A folder written
   by `Situ.Media.ImageSequenceWriter` also contains the originating times, and they are used. All other images get steps
-  of `1 / rate` from `start_time:` (`Situ.Media.FileTime`).
+  of `1 / rate` from `start_time:`.
   """
 
   alias Situ.Graph.Placement

@@ -1,12 +1,8 @@
 defmodule Situ.Media.Nut do
   @moduledoc false
-  # The basic elements of NUT, FFmpeg's own container: variable-length numbers, start codes,
-  # checksums and time bases.
-  #
-  # Decoded images and audio are passed between Situ and the `ffmpeg` program as a NUT stream over
-  # a local socket, because NUT keeps the exact time base of every stream and can be written and
-  # read without seeking. `Situ.Media.Nut.Demuxer` reads it, and `Situ.Media.Nut.Muxer` writes it.
-  # For the format, see <https://ffmpeg.org/~michael/nut.txt>.
+  # The basic elements of NUT, FFmpeg's own container: variable-length numbers, start codes, checksums and time bases.
+  # Situ and `ffmpeg` exchange decoded images and audio as a NUT stream, because NUT keeps the exact time base of every
+  # stream and needs no seeking. For the format, see <https://ffmpeg.org/~michael/nut.txt>.
   import Bitwise
 
   @typedoc "Seconds per tick, as a fraction."

@@ -10,7 +10,8 @@ defmodule Situ.Media.VideoFile do
 
   Supports every file that FFmpeg can read: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... If the file has no video or no
   audio, that stream is `nil` in the result of `open/3`. The time of an image is when it is shown, and the time of an
-  audio buffer is when it ends; `Situ.Media.FileTime` explains how media time becomes originating time.
+  audio buffer is when it ends; `start_time:` sets how media time becomes originating time. The same file gives the same
+  times in every run.
 
   The source reads on demand, so a slow pipeline makes it wait. A damaged or truncated file emits all readable data,
   and then the run ends with the error `:damaged_media`. With `on_damage: :warn` it completes with a logged warning.
@@ -43,7 +44,8 @@ defmodule Situ.Media.VideoFile do
   require Logger
 
   @doc """
-  Adds the source to a pipeline. `opts` are the options above and the component options `name:` and `on_error:`.
+  Adds the source to a pipeline. `opts` are the options of this module and the component options `name:` and
+  `on_error:`.
 
   Returns `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` if the file cannot be read.
   """

@@ -5,7 +5,7 @@ defmodule Situ.Media.WavFile do
       p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
 
   The originating time of a buffer is the time of its end, exact to the sample. `Situ.Media.Wav` lists the supported
-  kinds of WAV; `Situ.Media.FileTime` explains how media time becomes originating time.
+  kinds of WAV; `start_time:` sets how media time becomes originating time.
   """
 
   alias Situ.Graph.Placement

@@ -1,15 +1,7 @@
 defmodule Situ.Space.Orientation do
   @moduledoc false
-  # Estimates the orientation of an inertial sensor from its readings. The orientation is the
-  # rotation from the sensor's axes to the world's: x north (magnetic north, or the initial
-  # heading without a magnetometer), y west, z up.
-  #
-  # The estimator is a complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M.
-  # Pflimlin, Nonlinear Complementary Filters on the Special Orthogonal Group, IEEE TAC 53(5),
-  # 2008. It integrates the gyroscope. The direction of gravity, and the horizontal direction of
-  # the magnetic field, correct its drift.
-  #
-  # For streams, use `Situ.Space.orientation/2`.
+  # Estimates the orientation of an inertial sensor from its readings, one by one. `Situ.Space.orientation/2` documents
+  # the method and the options.
 
   @schema [
     gain: [

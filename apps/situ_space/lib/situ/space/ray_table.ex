@@ -1,7 +1,10 @@
 defmodule Situ.Space.RayTable do
-  @moduledoc false
-  # The ray direction of every pixel of a camera, computed once and used for every depth image of
-  # that camera.
+  @moduledoc """
+  The ray direction of every pixel of a camera, computed once and used for every depth image of that camera.
+
+      {:ok, table} = Situ.Space.RayTable.new(intrinsics)
+      {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
+  """
   alias Situ.{CameraIntrinsics, Error}
   alias Situ.Space.NativeCall
 

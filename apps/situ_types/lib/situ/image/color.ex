@@ -1,10 +1,6 @@
 defmodule Situ.Image.Color do
   @moduledoc false
-  # Colours for drawing and filling.
-  #
-  # A colour is a list of channel values in the image's memory order, one number for all channels,
-  # a name, or `{r, g, b}` / `{r, g, b, a}` with values of 0..255. Tuples and names work with
-  # every format: they are converted to grey for grey images, and widened for 16-bit channels.
+  # Converts colours to the channels of a pixel format. `Situ.Image` documents the kinds of colours.
   alias Situ.Image.Format
 
   @names [

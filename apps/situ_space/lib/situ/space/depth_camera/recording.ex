@@ -1,18 +1,18 @@
 defmodule Situ.Space.DepthCamera.Recording do
-  @moduledoc false
-  # A depth camera that replays the recording of one.
-  #
-  #     room = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "recordings/room.0000"})
-  #     d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "d435.bag"})
-  #
-  # Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded
-  # before recording stay Depth images without views become views by adding intrinsics. Bags of
-  # the RealSense SDK or its viewer contain the intrinsics; other recordings need `lens:` or
-  # `intrinsics:`. The colour sensor of a RealSense camera has a different pose than its depth
-  # sensor, and that pose is not read. Its colour stream therefore contains images, not views.
-  #
-  # Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images
-  # are not known.
+  @moduledoc """
+  A depth camera that replays the recording of one.
+
+      room = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "recordings/room.0000"})
+      d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "d435.bag"})
+
+  Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded before recording stay
+  encoded. Depth images without views become views by adding intrinsics. Bags of the RealSense SDK or its viewer
+  contain the intrinsics; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has
+  a different pose than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not
+  views.
+
+  Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images are not known.
+  """
 
   @schema [
     path: [type: :string, required: true, doc: "The path of the recording."],
@@ -50,6 +50,8 @@ defmodule Situ.Space.DepthCamera.Recording do
       doc: "Additional streams, for example `[bodies: \"Bodies\"]`."
     ]
   ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
   @behaviour Situ.Space.DepthCamera
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Pose, Store}
