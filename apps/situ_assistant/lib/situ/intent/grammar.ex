@@ -1,6 +1,7 @@
 defmodule Situ.Intent.Grammar do
   @moduledoc """
-  Detects intents with rules: a grammar in JSGF (`Situ.Infer.Speech.Jsgf`) with tags.
+  Detects intents with rules: a grammar in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>) with
+  tags.
 
       #JSGF V1.0; grammar room;
       public <time>  = what time is it {intent=time} | tell me the time {intent=time};
@@ -11,6 +12,8 @@ defmodule Situ.Intent.Grammar do
   text, or the number matched by `<NUMBER>`. The intent of a rule without `{intent=...}` is the rule's name. The score
   is the share of the sentence's words that the rule matches; the rule that matches most words comes first.
 
+  Two rules are built in: `<NUMBER>` matches a number from 0 to 999 in words or digits, and `<WORDS>` matches one or
+  more words of any kind. `import` is not supported.
 
   ## Errors
 

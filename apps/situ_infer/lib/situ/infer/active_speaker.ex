@@ -2,9 +2,9 @@ defmodule Situ.Infer.ActiveSpeaker do
   @moduledoc """
   Decides which face is speaking, from audio and lip movement.
 
-  Input `:in` is `{mouths, voice}`: for every image, a map from face id to `Situ.Infer.Mouth`, and the nearest
-  `Situ.Infer.Voice` (or `nil`). Output `:out` is a map from the same ids to booleans. It has the image's time and is
-  emitted `:lookahead` later.
+  Input `:in` is `{mouths, voice}`: for every image, a map from face id to mouth, from `Situ.Infer.MouthShape`, and the
+  nearest message of `Situ.Infer.voice/2` (or `nil`). Output `:out` is a map from the same ids to booleans. It has the
+  image's time and is emitted `:lookahead` later.
 
       mouths
       |> Situ.join(voice, Situ.Reproducible.nearest(Situ.Time.ms(40), or_default: nil))
@@ -58,7 +58,7 @@ defmodule Situ.Infer.ActiveSpeaker do
       type: :number,
       default: 0.02,
       doc:
-        "The change in opening (see `Situ.Infer.Mouth`) that counts as movement; smaller changes are detector noise."
+        "The change in opening (see `Situ.Infer.MouthShape`) that counts as movement; smaller ones are noise."
     ],
     pause: [
       type: :time_ns,

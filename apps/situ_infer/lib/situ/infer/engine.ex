@@ -1,13 +1,12 @@
 defmodule Situ.Infer.Engine do
-  @moduledoc false
-  # The behaviour of the engine that runs a model, between `Situ.Infer.Model` and a native
-  # library.
-  #
-  # One engine is built in, `Situ.Infer.Engine.Ort` (ONNX Runtime). To add another (pure Rust, a
-  # remote server), write a module with these callbacks and pass it as the `:engine` option of
-  # `Situ.Infer.Model.load/2`.
-  #
-  # Port names, types and shapes are those in the model file; a dimension of `-1` is free.
+  @moduledoc """
+  The behaviour of engines, which run models for `Situ.Infer.Model`.
+
+  ONNX Runtime is built in. To add another engine (pure Rust, a remote server), write a module with these callbacks and
+  pass it as the `:engine` option of `Situ.Infer.Model.load/2`.
+
+  Port names, types and shapes are those in the model file; a dimension of `-1` is free.
+  """
 
   @type handle :: term()
   @type port_spec ::

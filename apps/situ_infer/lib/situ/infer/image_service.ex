@@ -11,10 +11,9 @@ defmodule Situ.Infer.ImageService do
   `text:` as lists of `Situ.Rect` in image pixels with label and score. Images wait while the service processes one, so
   use a policy such as `Situ.Delivery.latest()` for a camera.
 
-
   ## Errors
 
-  The errors of `Situ.Infer.Service`, and `:bad_answer`.
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
   """
 
   @own [

@@ -23,7 +23,6 @@ defmodule Situ.Infer.Model do
 
   Weights may be in separate files next to the model file (ONNX's external data, usual above 2 GB).
 
-
   ## Errors
 
   `:no_onnxruntime` (the library is missing; the load can be retried), `:no_model_file`, `:bad_model` (truncated or
@@ -37,9 +36,9 @@ defmodule Situ.Infer.Model do
 
   @schema [
     engine: [
-      type: :module,
-      default: Situ.Infer.Engine.Ort,
-      doc: "The engine that runs the model, see `Situ.Infer.Engine`."
+      type: {:or, [{:in, [:onnxruntime]}, :module]},
+      default: :onnxruntime,
+      doc: "The engine that runs the model: ONNX Runtime, or a `Situ.Infer.Engine`."
     ],
     provider: [
       type: {:or, [{:in, [:cpu]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
@@ -124,7 +123,7 @@ defmodule Situ.Infer.Model do
          opts = Keyword.update!(opts, :sessions, &(&1 || System.schedulers_online())),
          started = System.monotonic_time(:nanosecond),
          settings = [{:folder, path |> Path.expand() |> Path.dirname()} | opts],
-         {:ok, loaded} <- with_path(opts[:engine].load(bytes, settings), path),
+         {:ok, loaded} <- with_path(engine_module(opts).load(bytes, settings), path),
          model = build_model(path, opts, loaded),
          :ok <- PortCheck.check_numeric(model.inputs, path),
          :ok <- PortCheck.check_ports(model.inputs, opts[:inputs], "input", path),
@@ -229,10 +228,13 @@ defmodule Situ.Infer.Model do
 
   defp with_path(result, _path), do: result
 
+  defp engine_module(opts),
+    do: if(opts[:engine] == :onnxruntime, do: Situ.Infer.Engine.Ort, else: opts[:engine])
+
   defp build_model(path, opts, loaded) do
     %__MODULE__{
       name: Path.basename(path, ".onnx"),
-      engine: opts[:engine],
+      engine: engine_module(opts),
       handle: loaded.handle,
       inputs: Map.new(loaded.inputs, fn {name, type, shape} -> {name, {type, shape}} end),
       outputs: Map.new(loaded.outputs, fn {name, type, shape} -> {name, {type, shape}} end),

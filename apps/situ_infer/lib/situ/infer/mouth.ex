@@ -1,15 +1,9 @@
 defmodule Situ.Infer.Mouth do
   @moduledoc false
-  # The opening of a mouth.
-  #
-  #   * `opening`: the distance between the inner lips divided by the distance between the outer corners of the eyes;
-  #     about 0.0 to 0.2 when closed, depending on the face, and up to 0.4 wide open
-  #   * `baseline`: the opening of **this** mouth when it is closed, learned while tracking it
-  #   * `open?`: whether it is clearly more open than the baseline
-  #
-  # Only changes within one face are meaningful, because one person's smile with teeth can have
-  # the same opening as another person's mouth while speaking. A fixed threshold therefore fails,
-  # and each face gets a baseline that falls quickly and rises slowly.
+  # The opening of a mouth (`Situ.Infer.MouthShape` lists the fields), and its baseline. One
+  # person's smile with teeth can have the same opening as another person's mouth while speaking.
+  # A fixed threshold therefore fails, and each face gets a baseline that falls quickly and rises
+  # slowly.
   alias Situ.Infer.FaceMesh
 
   # The baseline falls by half in 80 ms (two images, so that a single bad one does not set it), and rises by a third in

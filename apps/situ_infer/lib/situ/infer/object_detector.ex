@@ -7,7 +7,15 @@ defmodule Situ.Infer.ObjectDetector do
 
   Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
   and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
-  where the object is; a mask covers its box. A v2 network needs `scale: 1`.
+  where the object is; a mask covers its box. A v2 network needs `scale: 1`. `version:` is the output format of the
+  network:
+
+  | version | output | a box | score |
+  |---|---|---|---|
+  | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC) | object x softmax |
+  | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
+  | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
+  | `:v10` | `{1, n, 6}` | two corners, score, class; already without overlaps | as given |
 
   No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
   """
@@ -17,7 +25,7 @@ defmodule Situ.Infer.ObjectDetector do
     version: [
       type: {:in, Situ.Infer.Detection.Yolo.supported_versions()},
       default: :v8,
-      doc: "The output format of the network, see `Situ.Infer.Detection.Yolo`."
+      doc: "The output format of the network, see the table above."
     ],
     labels: [
       type: {:or, [:string, {:list, :string}]},

@@ -9,7 +9,6 @@ defmodule Situ.Infer.OnnxModel do
   from `shapes:` are errors at that time, with both sides in the message. Several inputs are joined by equal originating
   times. An output has the time of its input. Queued messages run as one batch.
 
-
   ## Errors
 
   The errors of `Situ.Infer.Model`, and `:unknown_input`, `:missing_input`, `:unknown_output`.

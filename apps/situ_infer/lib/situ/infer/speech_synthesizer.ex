@@ -12,8 +12,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
   when it starts to be spoken. Not every synthesizer supports them
   (`c:Situ.Infer.Speech.Synthesizer.speak_with_marks/2`). `Situ.Annotation.Spans` converts them to annotations.
 
-  The audio is emitted as soon as it is synthesized, however long it is. `Situ.Assistant.Player` plays it in real time,
-  in chunks, and can be stopped.
+  The audio is emitted as soon as it is synthesized, however long it is.
   """
 
   @schema [

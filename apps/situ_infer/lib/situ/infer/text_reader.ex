@@ -9,10 +9,9 @@ defmodule Situ.Infer.TextReader do
   lines from top to bottom as `Situ.Rect` (upright around the line, in image pixels), with the text as label and a
   score. The studio draws them over the image. Lines may be rotated, and may run downwards.
 
-  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
-  (`Situ.Infer.Vision.TextRegions`), and the other reads each line. An image takes about half a second on one core, so
-  use `Situ.Delivery.latest()` for a camera. `read_lines/2` reads a single image.
-
+  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines, and the other reads each
+  line. An image takes about half a second on one core, so use `Situ.Delivery.latest()` for a camera. `read_lines/2`
+  reads a single image.
 
   ## Errors
 
@@ -23,7 +22,7 @@ defmodule Situ.Infer.TextReader do
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "The folder with the two files of PP-OCRv4; `nil` uses `Situ.Infer.ModelStore`."
+      doc: "The folder with the two files of PP-OCRv4; `nil`: where `fetch-model` puts them."
     ],
     side: [
       type: {:range, 64, 4_096},

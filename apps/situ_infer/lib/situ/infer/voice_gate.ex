@@ -1,11 +1,8 @@
 defmodule Situ.Infer.VoiceGate do
   @moduledoc false
   # Converts the probability of speech to a boolean, with hysteresis, and to segments. Pure.
-  #
-  # Two thresholds prevent flickering; short bursts are ignored, and short pauses are part of the
-  # speech. The length of a pause is known only after it, so with `decide: :exact` the values of a
-  # pause are held back until it ends or becomes too long. The output then has no trailing speech,
-  # and is the same for a live stream and a recording.
+  # `Situ.Infer.VoiceActivity` describes the behaviour. With `decide: :exact`, values are held back
+  # until the pause ends or becomes too long, so the output has no trailing speech.
 
   @schema [
     on: [type: {:range, 0, 1}, default: 0.5, doc: "Speech starts at this probability."],

@@ -1,14 +1,7 @@
 defmodule Situ.Infer.Detection.Yolo do
   @moduledoc false
   # Converts the outputs of YOLO networks to boxes in pixels of the network's input. Pure.
-  #
-  # | version | output | a box | score |
-  # |---|---|---|---|
-  # | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC) | object x softmax |
-  # | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
-  # | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
-  # | `:v10` | `{1, n, 6}` | two corners, score, class; already without overlaps | as given |
-  #
+  # `Situ.Infer.ObjectDetector` lists the output formats.
   # Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the
   # other versions.
   import Situ.BinarySize, only: [pinned_size: 1]

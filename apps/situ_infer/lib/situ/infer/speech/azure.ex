@@ -11,10 +11,9 @@ defmodule Situ.Infer.Speech.Azure do
   Results have alternatives, confidence, and words with times. Each partial result is a separate request; `partial: nil`
   disables partial results.
 
-
   ## Errors
 
-  The errors of `Situ.Infer.Service`, `:bad_answer`, `:too_long`.
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
   """
 
   @own [

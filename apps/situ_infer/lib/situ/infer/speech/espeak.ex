@@ -10,7 +10,6 @@ defmodule Situ.Infer.Speech.Espeak do
   Marks (`Situ.Infer.Speech.Mark`) are sentences, words, phonemes and, with `ssml: true`, the text's own marks. They are
   produced by espeak-ng's library, which runs in a small separate program (`apps/situ_infer/native/situ_speak`).
 
-
   ## Errors
 
   `:no_espeak` (not installed), `:bad_voice` (unknown voice), `:bad_text`, `:synthesis_failed`.

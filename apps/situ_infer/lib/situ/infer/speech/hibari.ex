@@ -6,10 +6,9 @@ defmodule Situ.Infer.Speech.Hibari do
       {:ok, voice} = Situ.Infer.Speech.Hibari.load(speed: 1.1)
       {:ok, sound} = Situ.Infer.Speech.Hibari.speak(voice, "Go forward ten metres.")
 
-  `bin/lib/fetch-model hibari` downloads it (Apache-2.0). espeak-ng determines the pronunciation of the words
-  (`Situ.Infer.Speech.Hibari.Phonemes`), the network computes spectra, and `Situ.Infer.Speech.Hibari.Vocoder` converts
-  them to audio: 24 kHz, one channel. The same text always gives the same audio.
-
+  `bin/lib/fetch-model hibari` downloads it (Apache-2.0). espeak-ng determines the pronunciation of the words, the
+  network computes spectra, and a vocoder converts them to audio: 24 kHz, one channel. The same text always gives the
+  same audio.
 
   ## Errors
 
@@ -25,7 +24,7 @@ defmodule Situ.Infer.Speech.Hibari do
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "The folder with `hibari.onnx` and `vocab.json`; default: `Situ.Infer.ModelStore`."
+      doc: "The folder with `hibari.onnx` and `vocab.json`; `nil`: where `fetch-model` puts them."
     ]
   ]
 

@@ -1,12 +1,13 @@
 defmodule Situ.Infer.Speech.Mark do
-  @moduledoc false
-  # A part of spoken text, with its start and end times.
-  #
-  #   * `kind`: `:sentence`, `:word`, `:phoneme` (its `text` is in the International Phonetic Alphabet), or `:mark`, a
-  #     position named in the text (`<mark name="here"/>` in SSML)
-  #   * `text`: the sentence, word, phoneme or name
-  #   * `from`, `to`: ns; from the start of the audio, or in a stream's time
-  #   * `place`: the offset of words and sentences in the text, in characters from 0
+  @moduledoc """
+  A part of spoken text, with its start and end times.
+
+    * `kind`: `:sentence`, `:word`, `:phoneme` (its `text` is in the International Phonetic Alphabet), or `:mark`, a
+      position named in the text (`<mark name="here"/>` in SSML)
+    * `text`: the sentence, word, phoneme or name
+    * `from`, `to`: ns; from the start of the audio, or in a stream's time
+    * `place`: the offset of words and sentences in the text, in characters from 0
+  """
   @enforce_keys [:kind, :text, :from, :to]
   defstruct [:kind, :text, :from, :to, :place]
 

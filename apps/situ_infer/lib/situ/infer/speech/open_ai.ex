@@ -9,10 +9,9 @@ defmodule Situ.Infer.Speech.OpenAI do
   Each partial result is a separate request; `partial: nil` disables partial results. Confidence is computed from the
   mean log probability of the segments, or is 0.5 if the service reports none.
 
-
   ## Errors
 
-  The errors of `Situ.Infer.Service`, `:bad_answer`.
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
   """
 
   @own [

@@ -14,7 +14,6 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   In recordings, sentences of a grammar have a confidence of 0.7 or more, and other speech 0.2 or less. Without a
   grammar, `confidence` is the weight of the best result among all alternatives.
 
-
   ## Errors
 
   `:no_pocketsphinx`, `:bad_grammar`, `:no_grammar`, `:recognition_failed`.

@@ -1,14 +1,10 @@
 defmodule Situ.Infer.Speech.WakeWord do
-  @moduledoc false
-  # Behaviour of spotters, which detect a name in speech for `Situ.Infer.wake_word/2` using a
-  # recognizer or a keyword search.
-  #
-  # | built in | detects | use |
-  # |---|---|---|
-  # | `TranscriptSpotter` | the name among recognized words (Moonshine) | any name, with few mistakes |
-  # | `KeywordSpotter` | the sound of the name (PocketSphinx) | machines without ONNX Runtime |
-  #
-  # To add another, implement these callbacks in a module and pass it as `spotter:`.
+  @moduledoc """
+  The behaviour of spotters, which detect a name in speech for `Situ.Infer.wake_word/2`.
+
+  `Situ.Infer.wake_word/2` describes the two that are built in. To add another, implement these callbacks in a module
+  and pass it as `spotter:`.
+  """
 
   @typedoc "The interval of the name, in ns from the start of the audio; all of the audio if it is not known exactly."
   @type span :: %{from: non_neg_integer(), to: non_neg_integer(), confidence: float()}

@@ -1,13 +1,13 @@
 defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
   @moduledoc false
-  # Detects a name among recognized words; about one wrong letter in six is tolerated.
+  # Detects a name among recognized words (`Situ.Infer.wake_word/2`).
   #
   # Spelling alone cannot distinguish a misspelled name from a similar word: "Komputer" differs
   # from "computer" as much as "commuter" does, and "compute" differs less. Choose a name that is
-  # unlike other words. If similar words occur and the recognizer is accurate, set `alike: 1`.
+  # unlike other words.
 
   @schema [
-    phrase: [type: :string, required: true, doc: "The name, consisting of one or more words."],
+    phrase: [type: :string, required: true, doc: false],
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
@@ -20,6 +20,10 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
       doc: "The minimum Jaro similarity of a word to a word of the name; 1 requires equality."
     ]
   ]
+
+  @doc "Returns the schema of the options."
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
   @behaviour Situ.Infer.Speech.WakeWord
   alias Situ.{AudioBuffer, Error}
