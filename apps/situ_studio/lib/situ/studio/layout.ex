@@ -46,8 +46,8 @@ defmodule Situ.Studio.Layout do
 
   @typedoc """
   `rows` contains panels; neighbors with the same `row` are shown side by side. With `cell_column`, the cells have a
-  column to the left of the timelines. `compared` contains the id of the compared recording and the shift of its times in ns,
-  from which `Situ.Studio.Comparison` restores the comparison.
+  column to the left of the timelines. `compared` contains the id of the compared recording and the shift of its times
+  in ns, from which `Situ.Studio.Comparison` restores the comparison.
   """
   @type t :: %__MODULE__{
           name: String.t(),
