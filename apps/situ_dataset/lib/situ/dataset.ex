@@ -150,8 +150,8 @@ defmodule Situ.Dataset do
   def load(path, opts \\ []) do
     path = Path.expand(path)
 
-    with {:ok, found, digest} <- FileFormat.read_digested(path) do
-      dataset = struct!(%__MODULE__{digest: digest}, found)
+    with {:ok, fields, digest} <- FileFormat.read_digested(path) do
+      dataset = struct!(%__MODULE__{digest: digest}, fields)
       file = if Path.extname(path) == ".pds", do: nil, else: path
       put_file(dataset, file, (opts[:autosave] && file != nil) || false)
     end
@@ -265,17 +265,17 @@ defmodule Situ.Dataset do
   @doc "Removes a session from the dataset; its recordings are not deleted."
   @spec remove_session(t(), String.t()) :: result()
   def remove_session(%__MODULE__{} = dataset, name) do
-    with {:ok, found} <- session(dataset, name),
-         do: commit_edit(%{dataset | sessions: List.delete(dataset.sessions, found)})
+    with {:ok, session} <- session(dataset, name),
+         do: commit_edit(%{dataset | sessions: List.delete(dataset.sessions, session)})
   end
 
   @doc "Renames a session."
   @spec rename_session(t(), String.t(), String.t()) :: result()
   def rename_session(%__MODULE__{} = dataset, from, to) do
-    with {:ok, found} <- session(dataset, from),
+    with {:ok, session} <- session(dataset, from),
          :ok <- NameRules.check_valid(to, "session"),
-         :ok <- NameRules.check_free(to, List.delete(dataset.sessions, found), "the dataset") do
-      commit_edit(replace_session(dataset, from, %{found | name: to}))
+         :ok <- NameRules.check_free(to, List.delete(dataset.sessions, session), "the dataset") do
+      commit_edit(replace_session(dataset, from, %{session | name: to}))
     end
   end
 
@@ -288,8 +288,8 @@ defmodule Situ.Dataset do
   @spec update_session(t(), String.t(), (Session.t() -> {:ok, Session.t()} | {:error, Error.t()})) ::
           result()
   def update_session(%__MODULE__{} = dataset, name, fun) do
-    with {:ok, found} <- session(dataset, name),
-         {:ok, %Session{} = session} <- fun.(found),
+    with {:ok, session} <- session(dataset, name),
+         {:ok, %Session{} = session} <- fun.(session),
          do: commit_edit(replace_session(dataset, name, %{session | name: name}))
   end
 

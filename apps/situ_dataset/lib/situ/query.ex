@@ -43,14 +43,14 @@ defmodule Situ.Query do
   alias Situ.{Error, Expression, Options, Store}
   alias Situ.Query.Merge
 
-  @type found :: %{intervals: [{Situ.Time.t(), Situ.Time.t()}], truncated?: boolean()}
+  @type result :: %{intervals: [{Situ.Time.t(), Situ.Time.t()}], truncated?: boolean()}
 
   @doc """
   Returns the intervals in which `expression` is true. Errors: `:bad_expression`, `:no_stream`, `:ambiguous_stream`,
   `:timeout`, `:constant` (it does not contain a stream).
   """
   @spec run(OpenSession.t(), String.t() | Expression.t(), keyword()) ::
-          {:ok, found()} | {:error, Error.t()}
+          {:ok, result()} | {:error, Error.t()}
   def run(%OpenSession{} = session, expression, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
          {:ok, expression} <- ensure_parsed(expression),
@@ -138,7 +138,16 @@ defmodule Situ.Query do
 
   # Evaluates the expression after all changes at one time were applied.
   defp search_intervals(streams, expression, opts, deadline) do
-    state = %{env: %{}, since: %{}, open: nil, found: [], count: 0, last: nil, opts: opts, n: 0}
+    state = %{
+      env: %{},
+      since: %{},
+      open: nil,
+      intervals: [],
+      count: 0,
+      last: nil,
+      opts: opts,
+      n: 0
+    }
 
     state =
       streams
@@ -154,7 +163,7 @@ defmodule Situ.Query do
     closed = if state.open, do: add_interval(state, {state.open, state.last}), else: state
 
     intervals =
-      closed.found |> Enum.reverse() |> drop_short(opts[:least]) |> Enum.take(opts[:limit])
+      closed.intervals |> Enum.reverse() |> drop_short(opts[:least]) |> Enum.take(opts[:limit])
 
     {:ok, %{intervals: intervals, truncated?: state.count > opts[:limit]}}
   end
@@ -189,24 +198,29 @@ defmodule Situ.Query do
   defp within_span?(time, opts), do: opts[:to] == nil or time <= opts[:to]
 
   defp add_interval(state, {from, to}) do
-    case state.found do
-      [{before, ended} | rest] when from - ended <= 0 -> %{state | found: [{before, to} | rest]}
-      [{before, ended} | rest] -> join_or_append(state, {before, ended}, rest, {from, to})
-      [] -> %{state | found: [{from, to}], count: 1}
+    case state.intervals do
+      [{before, ended} | rest] when from - ended <= 0 ->
+        %{state | intervals: [{before, to} | rest]}
+
+      [{before, ended} | rest] ->
+        join_or_append(state, {before, ended}, rest, {from, to})
+
+      [] ->
+        %{state | intervals: [{from, to}], count: 1}
     end
   end
 
   defp join_or_append(state, {before, ended}, rest, {from, to}) do
     if from - ended <= state.opts[:join],
-      do: %{state | found: [{before, to} | rest]},
-      else: %{state | found: [{from, to}, {before, ended} | rest], count: state.count + 1}
+      do: %{state | intervals: [{before, to} | rest]},
+      else: %{state | intervals: [{from, to}, {before, ended} | rest], count: state.count + 1}
   end
 
   defp drop_short(intervals, least),
     do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
 
   @doc "Converts the intervals to annotations of one track, as proposals for `Situ.Annotation.Edit.add_proposals/2`."
-  @spec annotations(found(), String.t(), map(), keyword()) :: [Annotation.t()]
+  @spec annotations(result(), String.t(), map(), keyword()) :: [Annotation.t()]
   def annotations(%{intervals: intervals}, track, values \\ %{}, more \\ []) do
     for {from, to} <- intervals,
         do: Annotation.new(from, to, track, values, [{:proposed?, true} | more])

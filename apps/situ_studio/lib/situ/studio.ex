@@ -137,7 +137,7 @@ defmodule Situ.Studio do
   end
 
   defp resolve_tls(:own, ip), do: Situ.Link.Certificate.ensure_local(ip)
-  defp resolve_tls(given, _ip), do: {:ok, given}
+  defp resolve_tls(options, _ip), do: {:ok, options}
 
   defp start_supervisor(opts) do
     case Supervisor.start_link(__MODULE__, opts) do

@@ -93,14 +93,16 @@ defmodule Situ.CLI.ClusterDeployment do
 
   defp deploy_pipeline(module, opts, ask) do
     module = Module.concat([module])
-    taken = Keyword.take(opts, [:name, :retain, :checkpoint, :lease, :balance, :direct, :publish])
+
+    settings =
+      Keyword.take(opts, [:name, :retain, :checkpoint, :lease, :balance, :direct, :publish])
 
     # Atoms from user input are safe here: there are few options, and a user who can deploy can run any code anyway.
     build =
       for {name, value} <- Setting.parse_settings(opts[:set]), do: {String.to_atom(name), value}
 
     settings =
-      for({key, value} <- taken, value != nil, do: {key, value}) ++
+      for({key, value} <- settings, value != nil, do: {key, value}) ++
         [place: Enum.map(opts[:place], &parse_rule/1), opts: build]
 
     deployment = Error.unwrap!(ask.(opts, Cluster, :deploy, [module, settings]))

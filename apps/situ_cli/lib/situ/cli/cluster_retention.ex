@@ -74,7 +74,7 @@ defmodule Situ.CLI.ClusterRetention do
 
   defp access_by_node(opts, ask) do
     %{
-      kept: fn -> ask.(opts, Cluster, :list_log_usage, []) end,
+      list: fn -> ask.(opts, Cluster, :list_log_usage, []) end,
       known: fn -> for d <- ask.(opts, Cluster.Agent, :info, []).deployments, do: d.name end,
       prune: fn name -> ask.(opts, Cluster, :prune, [name]) end
     }
@@ -90,7 +90,7 @@ defmodule Situ.CLI.ClusterRetention do
       )
 
     %{
-      kept: fn -> Retention.list(log) end,
+      list: fn -> Retention.list(log) end,
       known: fn -> nil end,
       prune: &Retention.prune(log, &1, @watched_ms)
     }
@@ -108,29 +108,29 @@ defmodule Situ.CLI.ClusterRetention do
         )
   end
 
-  defp list_logs(keeper, opts) do
-    kept = Error.unwrap!(keeper.kept.())
-    known = keeper.known.()
+  defp list_logs(access, opts) do
+    logs = Error.unwrap!(access.list.())
+    known = access.known.()
 
     if opts[:json],
-      do: Output.print_json(Enum.map(kept, &describe_log(&1, known))),
-      else: Enum.each(kept, &print_log(&1, known))
+      do: Output.print_json(Enum.map(logs, &describe_log(&1, known))),
+      else: Enum.each(logs, &print_log(&1, known))
 
-    if kept == [] and not opts[:json], do: Output.puts("the log is empty")
+    if logs == [] and not opts[:json], do: Output.puts("the log is empty")
     0
   end
 
-  defp describe_log(kept, known) do
-    kept
+  defp describe_log(log, known) do
+    log
     |> Map.take([:deployment, :streams, :entries, :bytes])
     |> Map.merge(%{
-      known: known && kept.deployment in known,
-      written: kept.written && Situ.Time.to_iso8601(kept.written)
+      known: known && log.deployment in known,
+      written: log.written && Situ.Time.to_iso8601(log.written)
     })
   end
 
-  defp print_log(kept, known) do
-    r = describe_log(kept, known)
+  defp print_log(log, known) do
+    r = describe_log(log, known)
     where = if r.known == false, do: ", on no node here", else: ""
     size = "#{r.streams} streams, #{r.entries} entries, #{r.bytes} bytes"
 
@@ -139,37 +139,37 @@ defmodule Situ.CLI.ClusterRetention do
     )
   end
 
-  defp prune_logs(names, opts, keeper) do
+  defp prune_logs(names, opts, access) do
     if names == [] and opts[:older_than] == nil do
       raise Error.new(:usage, "no deployment given",
               fix: "name them (see `situ cluster kept`), or give --older-than 24h"
             )
     end
 
-    found = if opts[:older_than], do: old_deployments(opts, keeper), else: []
+    old_names = if opts[:older_than], do: old_deployments(opts, access), else: []
 
     results =
-      for name <- Enum.uniq(names ++ found),
-          do: prune_deployment(name, name in names, opts, keeper)
+      for name <- Enum.uniq(names ++ old_names),
+          do: prune_deployment(name, name in names, opts, access)
 
     if results == [], do: Output.puts("no deployment is that old")
     Enum.max(results, fn -> 0 end)
   end
 
-  defp old_deployments(opts, keeper) do
+  defp old_deployments(opts, access) do
     latest = Situ.Time.now() - opts[:older_than]
 
-    for kept <- Error.unwrap!(keeper.kept.()),
-        kept.written != nil and kept.written <= latest,
-        do: kept.deployment
+    for log <- Error.unwrap!(access.list.()),
+        log.written != nil and log.written <= latest,
+        do: log.deployment
   end
 
-  defp prune_deployment(name, named?, opts, keeper) do
+  defp prune_deployment(name, named?, opts, access) do
     if opts[:dry_run] do
       Output.puts("#{Output.format_name(name)}: would be deleted if it has ended")
       0
     else
-      report_pruned(keeper.prune.(name), name, named?)
+      report_pruned(access.prune.(name), name, named?)
     end
   end
 

@@ -15,29 +15,31 @@ defmodule Situ.CLI.Parser do
 
     # Options end at "--". A command line that contains --help shows the help, even if it has errors.
     case OptionParser.parse(argv, strict: strict, aliases: aliases) do
-      {given, words, invalid} ->
+      {switches, words, invalid} ->
         cond do
-          given[:help] -> :help
+          switches[:help] -> :help
           invalid != [] -> {:error, unknown_option(hd(invalid), options)}
-          true -> parse_values(verb, options, given, words)
+          true -> parse_values(verb, options, switches, words)
         end
     end
   end
 
-  defp parse_values(verb, options, given, words) do
-    with {:ok, options} <- parse_options(options, given, []),
+  defp parse_values(verb, options, switches, words) do
+    with {:ok, options} <- parse_options(options, switches, []),
          {:ok, arguments} <- parse_arguments(verb, words) do
       {:ok, arguments, options}
     end
   end
 
-  defp parse_options([], _given, done), do: {:ok, done}
-  defp parse_options([%{name: :help} | rest], given, done), do: parse_options(rest, given, done)
+  defp parse_options([], _switches, done), do: {:ok, done}
 
-  defp parse_options([option | rest], given, done) do
-    case option_value(option, Keyword.get_values(given, option.name)) do
-      {:ok, nil} -> parse_options(rest, given, done)
-      {:ok, value} -> parse_options(rest, given, [{option.name, value} | done])
+  defp parse_options([%{name: :help} | rest], switches, done),
+    do: parse_options(rest, switches, done)
+
+  defp parse_options([option | rest], switches, done) do
+    case option_value(option, Keyword.get_values(switches, option.name)) do
+      {:ok, nil} -> parse_options(rest, switches, done)
+      {:ok, value} -> parse_options(rest, switches, [{option.name, value} | done])
       {:error, why} -> {:error, why}
     end
   end
@@ -45,9 +47,9 @@ defmodule Situ.CLI.Parser do
   defp option_value(%{type: :flag} = option, []),
     do: {:ok, if(option.negated?, do: true, else: false)}
 
-  defp option_value(%{type: :flag}, given), do: {:ok, List.last(given)}
+  defp option_value(%{type: :flag}, texts), do: {:ok, List.last(texts)}
   defp option_value(%{many?: true}, []), do: {:ok, []}
-  defp option_value(%{many?: true} = option, given), do: parse_repeated(option, given, [])
+  defp option_value(%{many?: true} = option, texts), do: parse_repeated(option, texts, [])
   defp option_value(option, []), do: {:ok, option.default}
   defp option_value(option, [text]), do: Option.parse_value(option, text)
 
@@ -104,11 +106,11 @@ defmodule Situ.CLI.Parser do
   defp assign_words([{name, spec} | specs], words, spare) do
     own = if spec[:optional], do: 0, else: 1
 
-    {taken, words, spare} =
+    {argument, words, spare} =
       cond do
         spec[:many] ->
-          {taken, words} = Enum.split(words, own + spare)
-          {taken, words, 0}
+          {argument, words} = Enum.split(words, own + spare)
+          {argument, words, 0}
 
         spec[:optional] == true and spare == 0 ->
           {nil, words, spare}
@@ -117,7 +119,7 @@ defmodule Situ.CLI.Parser do
           {hd(words), tl(words), if(spec[:optional], do: spare - 1, else: spare)}
       end
 
-    Map.put(assign_words(specs, words, spare), name, taken)
+    Map.put(assign_words(specs, words, spare), name, argument)
   end
 
   defp missing_argument(verb, {name, spec}),

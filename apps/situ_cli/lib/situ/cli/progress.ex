@@ -29,20 +29,20 @@ defmodule Situ.CLI.Progress do
   end
 
   defp with_bar(label, device, work) do
-    shown = :atomics.new(2, signed: true)
-    :atomics.put(shown, 1, now_ms())
-    result = work.(&draw_bar(device, label, {&1, &2}, shown))
-    if :atomics.get(shown, 2) == 1, do: :file.write(device, "\r\e[K")
+    state = :atomics.new(2, signed: true)
+    :atomics.put(state, 1, now_ms())
+    result = work.(&draw_bar(device, label, {&1, &2}, state))
+    if :atomics.get(state, 2) == 1, do: :file.write(device, "\r\e[K")
     _ = :file.close(device)
     result
   end
 
   defp draw_bar(_device, _label, {_, 0}, _shown), do: :ok
 
-  defp draw_bar(device, label, {done, total}, shown) do
-    if now_ms() - :atomics.get(shown, 1) > 100 do
-      :atomics.put(shown, 1, now_ms())
-      :atomics.put(shown, 2, 1)
+  defp draw_bar(device, label, {done, total}, state) do
+    if now_ms() - :atomics.get(state, 1) > 100 do
+      :atomics.put(state, 1, now_ms())
+      :atomics.put(state, 2, 1)
       :file.write(device, "\r" <> format_bar(label, done, total))
     end
   end

@@ -78,7 +78,7 @@ defmodule Situ.CLI.Query do
     sessions = Dataset.select_sessions(dataset, tags: opts[:tag] || [], name: opts[:name] || "*")
     total = length(sessions)
 
-    found =
+    results =
       Progress.with_progress("query", opts, fn progress ->
         for {session, n} <- Enum.with_index(sessions, 1) do
           result = Query.run(OpenSession.open(session), expression, query_options(opts))
@@ -88,13 +88,13 @@ defmodule Situ.CLI.Query do
       end)
 
     # A missing stream is an error if there is only one session; other sessions of a dataset may have the stream.
-    case found do
+    case results do
       [{_, {:error, error}}] -> raise error
-      _ -> report_results(found, opts)
+      _ -> report_results(results, opts)
     end
 
-    if opts[:annotate], do: save_proposals(dataset, found, expression, opts)
-    if Enum.any?(found, &match?({_, {:error, _}}, &1)), do: 1, else: 0
+    if opts[:annotate], do: save_proposals(dataset, results, expression, opts)
+    if Enum.any?(results, &match?({_, {:error, _}}, &1)), do: 1, else: 0
   end
 
   defp query_options(opts) do
@@ -104,46 +104,46 @@ defmodule Situ.CLI.Query do
       end)
   end
 
-  defp report_results(found, opts) do
+  defp report_results(results, opts) do
     if opts[:json] do
-      Output.print_json(for {session, result} <- found, do: result_json(session, result))
+      Output.print_json(for {session, result} <- results, do: result_json(session, result))
     else
-      several? = match?([_, _ | _], found)
-      for {session, result} <- found, do: print_result(session, result, several?)
+      several? = match?([_, _ | _], results)
+      for {session, result} <- results, do: print_result(session, result, several?)
     end
   end
 
-  defp result_json(session, {:ok, found}) do
-    intervals = for {from, to} <- found.intervals, do: %{from: from, to: to}
-    %{session: session.name, intervals: intervals, truncated: found.truncated?}
+  defp result_json(session, {:ok, result}) do
+    intervals = for {from, to} <- result.intervals, do: %{from: from, to: to}
+    %{session: session.name, intervals: intervals, truncated: result.truncated?}
   end
 
   defp result_json(session, {:error, error}), do: %{session: session.name, error: error.what}
 
-  defp print_result(session, {:ok, found}, several?) do
+  defp print_result(session, {:ok, result}, several?) do
     prefix = if several?, do: Output.format_name(session.name) <> "  ", else: ""
 
-    for {from, to} <- found.intervals,
+    for {from, to} <- result.intervals,
         do:
           Output.puts(
             "#{prefix}#{Time.to_iso8601(from)}  #{Time.to_iso8601(to)}  #{Time.format_duration(to - from)}"
           )
 
-    if found.truncated?, do: Output.warn("#{prefix}more intervals exist; raise --limit")
+    if result.truncated?, do: Output.warn("#{prefix}more intervals exist; raise --limit")
   end
 
   defp print_result(session, {:error, error}, _several?),
     do: Output.warn("#{session.name}: #{error.what}")
 
   # Writes a partition for each session with results, in the same folder as the session's first partition.
-  defp save_proposals(dataset, found, expression, opts) do
+  defp save_proposals(dataset, results, expression, opts) do
     name = opts[:annotate]
     schema = Schema.text("Query")
 
     written =
-      for {session, {:ok, %{intervals: [_ | _]} = found}} <- found do
+      for {session, {:ok, %{intervals: [_ | _]} = result}} <- results do
         {:ok, empty} = Layer.new(schema)
-        proposals = Query.annotations(found, name, %{"Query" => expression}, by: "situ query")
+        proposals = Query.annotations(result, name, %{"Query" => expression}, by: "situ query")
         {:ok, layer, _} = Edit.add_proposals(empty, proposals)
         folder = session.partitions |> hd() |> Map.fetch!(:path) |> Path.dirname()
         path = unwrap!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))

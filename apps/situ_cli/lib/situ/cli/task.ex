@@ -171,9 +171,9 @@ defmodule Situ.CLI.Task do
 
   defp derive_dataset(dataset, module, derivation, opts) do
     Progress.with_progress("run", opts, fn progress ->
-      told = &progress.(round(&1.done * 1_000), 1_000)
+      report_progress = &progress.(round(&1.done * 1_000), 1_000)
 
-      case Dataset.derive(dataset, module, [{:progress, told} | derivation]) do
+      case Dataset.derive(dataset, module, [{:progress, report_progress} | derivation]) do
         {:ok, dataset, report} -> {:ok, dataset, report}
         {:error, error} -> raise error
       end

@@ -159,7 +159,7 @@ defmodule Situ.Annotation.Agreement do
 
   # Consecutive `{end, label}` tuples from `from` to `to`; the label is nil where there is no annotation.
   defp label_segments(annotations, attribute, from, to) do
-    {pieces, at} =
+    {segments, at} =
       annotations
       |> Enum.filter(&(&1.to > from and &1.from < to and &1.from < &1.to))
       |> Enum.flat_map_reduce(from, fn a, at ->
@@ -168,7 +168,7 @@ defmodule Situ.Annotation.Agreement do
         {gap ++ [{min(a.to, to), {:label, label}}], min(a.to, to)}
       end)
 
-    if at < to, do: pieces ++ [{to, nil}], else: pieces
+    if at < to, do: segments ++ [{to, nil}], else: segments
   end
 
   defp merge_segments([{a_end, a} | one] = left, [{b_end, b} | two] = right) do
@@ -187,9 +187,9 @@ defmodule Situ.Annotation.Agreement do
 
   # The middle of frame k is at from + k * frame + frame / 2; only complete frames count.
   defp middles_before(time, from, to, frame) do
-    whole = div(to - from, frame)
+    frame_count = div(to - from, frame)
     n = div(2 * (time - from) + frame - 1, 2 * frame)
-    min(max(n, 0), whole)
+    min(max(n, 0), frame_count)
   end
 
   @doc """

@@ -45,14 +45,14 @@ defmodule Situ.Annotation.Edit do
 
   defp find_touching(layer, annotation, edge) do
     at = Map.fetch!(annotation, edge)
-    beside = find_neighbour(layer, annotation, edge)
-    if beside && Map.fetch!(beside, opposite_edge(edge)) == at, do: beside
+    neighbour = find_neighbour(layer, annotation, edge)
+    if neighbour && Map.fetch!(neighbour, opposite_edge(edge)) == at, do: neighbour
   end
 
   defp find_neighbour(layer, annotation, :from) do
     case Layer.previous_annotation(layer, annotation.track, annotation.from) do
       %{id: id} when id == annotation.id -> nil
-      found -> found
+      annotation -> annotation
     end
   end
 
@@ -70,13 +70,13 @@ defmodule Situ.Annotation.Edit do
     do: time |> max(annotation.from + 1) |> min(most - 1)
 
   defp clamp_edge(layer, annotation, :from, time, nil) do
-    beside = find_neighbour(layer, annotation, :from)
-    time |> min(annotation.to) |> then(&if(beside, do: max(&1, beside.to), else: &1))
+    neighbour = find_neighbour(layer, annotation, :from)
+    time |> min(annotation.to) |> then(&if(neighbour, do: max(&1, neighbour.to), else: &1))
   end
 
   defp clamp_edge(layer, annotation, :to, time, nil) do
-    beside = find_neighbour(layer, annotation, :to)
-    time |> max(annotation.from) |> then(&if(beside, do: min(&1, beside.from), else: &1))
+    neighbour = find_neighbour(layer, annotation, :to)
+    time |> max(annotation.from) |> then(&if(neighbour, do: min(&1, neighbour.from), else: &1))
   end
 
   @doc "Sets the interval of an annotation. Error: `:overlap`."
@@ -87,15 +87,16 @@ defmodule Situ.Annotation.Edit do
   @doc "Splits an annotation in two at `time`; both parts keep its values. Error: `:outside`."
   @spec split_annotation(Layer.t(), Layer.id(), Situ.Time.t()) :: Layer.edited()
   def split_annotation(%Layer{} = layer, id, time) do
-    with {:ok, whole} <- Layer.fetch(layer, id) do
-      if whole.from < time and time < whole.to do
-        second = %{whole | id: layer.next, from: time}
-        Layer.commit(layer, [{id, whole, %{whole | to: time}}, {second.id, nil, second}])
+    with {:ok, annotation} <- Layer.fetch(layer, id) do
+      if annotation.from < time and time < annotation.to do
+        second = %{annotation | id: layer.next, from: time}
+
+        Layer.commit(layer, [{id, annotation, %{annotation | to: time}}, {second.id, nil, second}])
       else
         {:error,
          Error.new(:outside, "cannot split an annotation outside its interval",
            why:
-             "it lasts from #{whole.from} to #{whole.to}, and #{time} is not between these times",
+             "it lasts from #{annotation.from} to #{annotation.to}, and #{time} is not between these times",
            fix: "move the cursor into the annotation"
          )}
       end
@@ -107,8 +108,8 @@ defmodule Situ.Annotation.Edit do
   def merge_annotations(%Layer{} = layer, id, other) do
     with {:ok, a} <- Layer.fetch(layer, id), {:ok, b} <- Layer.fetch(layer, other) do
       if a.track == b.track and a.id != b.id do
-        whole = %{a | from: min(a.from, b.from), to: max(a.to, b.to)}
-        Layer.commit(layer, [{other, b, nil}, {id, a, whole}])
+        annotation = %{a | from: min(a.from, b.from), to: max(a.to, b.to)}
+        Layer.commit(layer, [{other, b, nil}, {id, a, annotation}])
       else
         {:error,
          Error.new(:no_neighbours, "cannot merge annotations of different tracks",

@@ -50,10 +50,10 @@ defmodule Situ.Annotation.Editor do
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
-    {given, opts} = Keyword.split(opts, [:path, :stream, :schema])
-    {path, stream} = {Keyword.fetch!(given, :path), Keyword.fetch!(given, :stream)}
+    {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema])
+    {path, stream} = {Keyword.fetch!(own_opts, :path), Keyword.fetch!(own_opts, :stream)}
 
-    with {:ok, state} <- EditorState.open_state(path, stream, given[:schema]) do
+    with {:ok, state} <- EditorState.open_state(path, stream, own_opts[:schema]) do
       started = GenServer.start_link(__MODULE__, state, opts)
       # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)

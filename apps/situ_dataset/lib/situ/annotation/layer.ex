@@ -88,7 +88,7 @@ defmodule Situ.Annotation.Layer do
     # Finds the last annotation that begins at or before `time`.
     case previous_annotation(layer, track, time + 1) do
       nil -> nil
-      found -> if Annotation.contains?(found, time), do: found
+      annotation -> if Annotation.contains?(annotation, time), do: annotation
     end
   end
 

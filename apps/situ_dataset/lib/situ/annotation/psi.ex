@@ -41,7 +41,7 @@ defmodule Situ.Annotation.Psi do
          "Track" => track,
          "AttributeValues" => %{} = values
        }) do
-    values = for {name, held} <- values, into: %{}, do: {name, decode_value(held)}
+    values = for {name, value} <- values, into: %{}, do: {name, decode_value(value)}
     annotation = %Annotation{from: from, to: to, track: track_name(track), values: values}
     if Annotation.check_fields(annotation) == :ok, do: {:ok, annotation}, else: :error
   end

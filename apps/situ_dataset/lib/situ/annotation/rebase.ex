@@ -55,8 +55,8 @@ defmodule Situ.Annotation.Rebase do
         {:error,
          Error.new(:stale_edit, "an edited annotation was changed or deleted by another program")}
 
-      found ->
-        {:ok, {found.id, found, with_id(new, found.id)}}
+      match ->
+        {:ok, {match.id, match, with_id(new, match.id)}}
     end
   end
 
@@ -66,7 +66,7 @@ defmodule Situ.Annotation.Rebase do
 
   defp find_counterpart(layer, id, _old) do
     case Layer.fetch(layer, id) do
-      {:ok, found} -> found
+      {:ok, match} -> match
       {:error, _} -> nil
     end
   end

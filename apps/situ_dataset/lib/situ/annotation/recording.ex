@@ -119,19 +119,19 @@ defmodule Situ.Annotation.Recording do
     path = Path.expand(path)
 
     with {:ok, draft} <- write_draft(layers, path),
-         {:error, %Error{code: :newer_version}} = taken <-
+         {:error, %Error{code: :newer_version}} = error <-
            StoreVersion.publish_after(draft, path, base) do
       _ = Store.delete(draft)
-      taken
+      error
     end
   end
 
   defp write_draft(layers, path) do
     options = [durability: :each, versioned: false]
 
-    place = StoreVersion.draft_path(path)
+    folder = StoreVersion.draft_path(path)
 
-    with {:ok, writer} <- Store.Writer.create(Path.basename(path), place, options),
+    with {:ok, writer} <- Store.Writer.create(Path.basename(path), folder, options),
          {:filled, _, :ok} <- {:filled, writer, write_streams(writer, Enum.sort(layers))} do
       {:ok, writer.path}
     else
@@ -140,7 +140,7 @@ defmodule Situ.Annotation.Recording do
 
       {:error, error} ->
         # If the disk is full, the folder must not remain either.
-        StoreVersion.discard_draft(place)
+        StoreVersion.discard_draft(folder)
         {:error, error}
     end
   end

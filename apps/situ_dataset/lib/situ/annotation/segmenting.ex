@@ -84,16 +84,18 @@ defmodule Situ.Annotation.Segmenting do
     now = state.segments.(message.data)
     time = message.originating_time
 
-    {ended, kept} =
+    {ended_segments, open_segments} =
       Enum.split_with(state.open, fn {track, {_, values}} -> now[track] != values end)
 
-    begun =
-      for {track, values} <- now, not List.keymember?(kept, track, 0), do: {track, {time, values}}
+    new_segments =
+      for {track, values} <- now,
+          not List.keymember?(open_segments, track, 0),
+          do: {track, {time, values}}
 
-    emitted = if ended == [], do: state.emitted, else: time
+    emitted = if ended_segments == [], do: state.emitted, else: time
 
-    {emit_segments(ended, time, state),
-     %{state | open: Map.new(kept ++ begun), last: time, emitted: emitted}}
+    {emit_segments(ended_segments, time, state),
+     %{state | open: Map.new(open_segments ++ new_segments), last: time, emitted: emitted}}
   end
 
   @impl true

@@ -72,9 +72,9 @@ defmodule Situ.Dataset.Derivation do
     with {:ok, opts} <- Options.validate(opts, @options),
          {log, done} =
            RunJournal.open(file, opts[:output], Keyword.take(opts, [:resume, :overwrite])),
-         {:ok, acc, kept} <- recover_results(sessions, done, acc, commit, opts),
-         :ok <- check_output_free(sessions, kept, opts) do
-      waiting = Enum.reject(sessions, &(&1.name in kept))
+         {:ok, acc, kept_names} <- recover_results(sessions, done, acc, commit, opts),
+         :ok <- check_output_free(sessions, kept_names, opts) do
+      waiting = Enum.reject(sessions, &(&1.name in kept_names))
 
       state = %{
         acc: acc,
@@ -85,8 +85,9 @@ defmodule Situ.Dataset.Derivation do
         waiting: waiting,
         running: %{},
         slots: node_slots(opts),
-        results: Enum.map(kept, &%{session: &1, status: :kept, error: nil, result: nil, took: 0}),
-        progress: Progress.new(session_weights(sessions), kept),
+        results:
+          Enum.map(kept_names, &%{session: &1, status: :kept, error: nil, result: nil, took: 0}),
+        progress: Progress.new(session_weights(sessions), kept_names),
         cancelled?: false
       }
 
@@ -124,33 +125,33 @@ defmodule Situ.Dataset.Derivation do
   defp recover_results(sessions, done, acc, commit, opts) do
     sessions
     |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))
-    |> Enum.reduce_while({:ok, acc, []}, fn session, {:ok, acc, kept} ->
+    |> Enum.reduce_while({:ok, acc, []}, fn session, {:ok, acc, kept_names} ->
       partition = Partition.new(opts[:output], done[session.name])
 
       case commit.(acc, session, partition) do
-        {:ok, acc} -> {:cont, {:ok, acc, [session.name | kept]}}
+        {:ok, acc} -> {:cont, {:ok, acc, [session.name | kept_names]}}
         {:error, error} -> {:halt, {:error, error}}
       end
     end)
   end
 
-  defp check_output_free(sessions, kept, opts) do
+  defp check_output_free(sessions, kept_names, opts) do
     name = opts[:output]
 
-    taken =
+    conflicts =
       for s <- sessions,
-          s.name not in kept,
+          s.name not in kept_names,
           Enum.any?(s.partitions, &(&1.name == name)),
           do: s.name
 
-    if taken == [] or opts[:overwrite] do
+    if conflicts == [] or opts[:overwrite] do
       :ok
     else
       {:error,
        Error.new(
          :partition_exists,
-         "#{length(taken)} sessions already have a partition #{inspect(name)}",
-         why: "the first is #{inspect(hd(taken))}",
+         "#{length(conflicts)} sessions already have a partition #{inspect(name)}",
+         why: "the first is #{inspect(hd(conflicts))}",
          fix: "choose another output, or pass overwrite: true"
        )}
     end
@@ -228,8 +229,8 @@ defmodule Situ.Dataset.Derivation do
   end
 
   defp handle_session_end(state, pid, reason) do
-    {%{job: job, node: node, began: began} = running, others} = Map.pop(state.running, pid)
-    took = System.convert_time_unit(System.monotonic_time() - began, :native, :nanosecond)
+    {%{job: job, node: node, began: start} = running, others} = Map.pop(state.running, pid)
+    took = System.convert_time_unit(System.monotonic_time() - start, :native, :nanosecond)
     state = %{state | running: others, slots: [node | state.slots]}
 
     case exit_outcome(reason, state) do

@@ -5,9 +5,9 @@ defmodule Situ.Dataset.Discovery do
   alias Situ.Dataset.{NameRules, Partition, Session}
   alias Situ.{Error, Store}
 
-  @type found :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
+  @type result :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
 
-  @spec from_recording(Path.t()) :: found()
+  @spec from_recording(Path.t()) :: result()
   def from_recording(path) do
     partition = Partition.new(nil, path)
 
@@ -15,7 +15,7 @@ defmodule Situ.Dataset.Discovery do
          do: {:ok, partition.name, [session]}
   end
 
-  @spec from_folder(Path.t()) :: found()
+  @spec from_folder(Path.t()) :: result()
   def from_folder(root) do
     sessions =
       root
@@ -33,8 +33,8 @@ defmodule Situ.Dataset.Discovery do
       else: {:ok, Path.basename(root), sessions}
   end
 
-  defp build_session({folder, recordings}, taken) do
-    name = NameRules.make_unique(sanitize_name(folder), taken)
+  defp build_session({folder, recordings}, names) do
+    name = NameRules.make_unique(sanitize_name(folder), names)
 
     session =
       Enum.reduce(recordings, Session.new(name), fn path, session ->
@@ -50,7 +50,7 @@ defmodule Situ.Dataset.Discovery do
         session
       end)
 
-    {session, [name | taken]}
+    {session, [name | names]}
   end
 
   # Folder names may contain characters that are not allowed in names.

@@ -123,37 +123,37 @@ defmodule Situ.Dataset.FileFormat do
 
   defp build_session(json, partition, partitions, key) do
     name = fetch_name(json, key, "session")
-    place = "session #{inspect(name)}"
-    all = json |> Map.get(partitions, []) |> check_objects("#{partitions} of #{place}")
+    owner = "session #{inspect(name)}"
+    all = json |> Map.get(partitions, []) |> check_objects("#{partitions} of #{owner}")
 
     %Session{
       name: name,
-      metadata: get_object(json, "metadata", place),
-      tags: get_strings(json, "tags", place),
-      partitions: all |> Enum.map(partition) |> require_unique("partition of #{place}"),
+      metadata: get_object(json, "metadata", owner),
+      tags: get_strings(json, "tags", owner),
+      partitions: all |> Enum.map(partition) |> require_unique("partition of #{owner}"),
       extra: Map.drop(json, [key, "metadata", "tags", partitions])
     }
   end
 
   defp native_partition(json, file) do
     name = fetch_name(json, "name", "partition")
-    place = "partition #{inspect(name)}"
+    owner = "partition #{inspect(name)}"
 
     %Partition{
       name: name,
-      store: optional_string(json, "store", place),
-      path: json |> require_string("path", place) |> StoredPath.from_stored(file),
-      reader: optional_string(json, "reader", place),
-      checksum: optional_string(json, "checksum", place),
-      metadata: get_object(json, "metadata", place),
+      store: optional_string(json, "store", owner),
+      path: json |> require_string("path", owner) |> StoredPath.from_stored(file),
+      reader: optional_string(json, "reader", owner),
+      checksum: optional_string(json, "checksum", owner),
+      metadata: get_object(json, "metadata", owner),
       extra: Map.drop(json, ~w(name store path reader checksum metadata))
     }
   end
 
   defp psi_partition(json, file) do
     name = fetch_name(json, "Name", "partition")
-    place = "partition #{inspect(name)}"
-    stored = require_string(json, "StorePath", place)
+    owner = "partition #{inspect(name)}"
+    stored = require_string(json, "StorePath", owner)
 
     stored =
       if StoredPath.windows_path?(stored) or StoredPath.windows_path?(file),
@@ -167,9 +167,9 @@ defmodule Situ.Dataset.FileFormat do
 
     %Partition{
       name: name,
-      store: optional_string(json, "StoreName", place),
+      store: optional_string(json, "StoreName", owner),
       path: path,
-      reader: optional_string(json, "StreamReaderTypeName", place),
+      reader: optional_string(json, "StreamReaderTypeName", owner),
       extra: %{}
     }
   end
@@ -192,38 +192,38 @@ defmodule Situ.Dataset.FileFormat do
     end
   end
 
-  defp check_objects(list, place) do
+  defp check_objects(list, owner) do
     if is_list(list) and Enum.all?(list, &is_map/1),
       do: list,
-      else: reject_file("#{place} must be a list of objects")
+      else: reject_file("#{owner} must be a list of objects")
   end
 
-  defp get_object(json, key, place) do
+  defp get_object(json, key, owner) do
     case json[key] do
       nil -> %{}
       %{} = map -> map
-      _ -> reject_file("#{key} of #{place} is not an object")
+      _ -> reject_file("#{key} of #{owner} is not an object")
     end
   end
 
-  defp get_strings(json, key, place) do
+  defp get_strings(json, key, owner) do
     list = json[key] || []
 
     if is_list(list) and Enum.all?(list, &is_binary/1),
       do: list,
-      else: reject_file("#{key} of #{place} must be a list of strings")
+      else: reject_file("#{key} of #{owner} must be a list of strings")
   end
 
-  defp get_string(json, key, place, default), do: optional_string(json, key, place) || default
+  defp get_string(json, key, owner, default), do: optional_string(json, key, owner) || default
 
-  defp require_string(json, key, place),
-    do: optional_string(json, key, place) || reject_file("#{place} has no #{key}")
+  defp require_string(json, key, owner),
+    do: optional_string(json, key, owner) || reject_file("#{owner} has no #{key}")
 
-  defp optional_string(json, key, place) do
+  defp optional_string(json, key, owner) do
     case json[key] do
       nil -> nil
       text when is_binary(text) -> text
-      _ -> reject_file("#{key} of #{place} is not a string")
+      _ -> reject_file("#{key} of #{owner} is not a string")
     end
   end
 

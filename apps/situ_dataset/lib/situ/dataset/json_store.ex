@@ -230,12 +230,12 @@ defmodule Situ.Dataset.JsonStore do
     messages = Map.get(state.messages, info.id, {})
     last = min(ordinal + limit, tuple_size(messages)) - 1
 
-    found =
+    page =
       for i <- ordinal..last//1,
           message = elem(messages, i),
           to == :unbounded or message.originating_time <= to,
           do: message
 
-    {:ok, found, ordinal + length(found)}
+    {:ok, page, ordinal + length(page)}
   end
 end

@@ -22,10 +22,10 @@ defmodule Situ.Dataset.NameRules do
   end
 
   @spec check_free(String.t(), [named()], String.t()) :: :ok | {:error, Error.t()}
-  def check_free(name, taken, place) do
-    if Enum.any?(taken, &(&1.name == name)) do
+  def check_free(name, items, owner) do
+    if Enum.any?(items, &(&1.name == name)) do
       {:error,
-       Error.new(:duplicate_name, "#{place} already has a #{inspect(name)}",
+       Error.new(:duplicate_name, "#{owner} already has a #{inspect(name)}",
          why: "names must be unique there",
          fix: "choose another name"
        )}
@@ -36,18 +36,18 @@ defmodule Situ.Dataset.NameRules do
 
   @spec fetch_named([named()], String.t(), atom(), String.t(), String.t()) ::
           {:ok, named()} | {:error, Error.t()}
-  def fetch_named(all, name, code, kind, place) do
+  def fetch_named(all, name, code, kind, owner) do
     case Enum.find(all, &(&1.name == name)) do
-      nil -> {:error, missing_error(name, Enum.map(all, & &1.name), code, kind, place)}
-      found -> {:ok, found}
+      nil -> {:error, missing_error(name, Enum.map(all, & &1.name), code, kind, owner)}
+      item -> {:ok, item}
     end
   end
 
   @doc "Returns the name or, if it is taken, the name with the first number that makes it unique."
   @spec make_unique(String.t(), [String.t()]) :: String.t()
-  def make_unique(name, taken) do
-    if name in taken,
-      do: Enum.find_value(2..100_000, &unless("#{name} #{&1}" in taken, do: "#{name} #{&1}")),
+  def make_unique(name, names) do
+    if name in names,
+      do: Enum.find_value(2..100_000, &unless("#{name} #{&1}" in names, do: "#{name} #{&1}")),
       else: name
   end
 
@@ -67,7 +67,7 @@ defmodule Situ.Dataset.NameRules do
     &(&1 =~ regex)
   end
 
-  defp missing_error(name, known, code, kind, place) do
+  defp missing_error(name, known, code, kind, owner) do
     fix =
       case {Situ.Options.nearest_name(to_string(name), known), known} do
         {nil, []} -> "it does not have any"
@@ -75,6 +75,6 @@ defmodule Situ.Dataset.NameRules do
         {near, _} -> "did you mean #{inspect(near)}?"
       end
 
-    Error.new(code, "#{place} has no #{kind} #{inspect(name)}", fix: fix)
+    Error.new(code, "#{owner} has no #{kind} #{inspect(name)}", fix: fix)
   end
 end

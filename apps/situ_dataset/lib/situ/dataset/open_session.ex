@@ -64,9 +64,9 @@ defmodule Situ.Dataset.OpenSession do
     plain = for {p, store} <- open.stores, Store.has_stream?(store, spec), do: {p, store, spec}
 
     case {fetch_qualified(open, spec), plain} do
-      {{:ok, found}, []} -> {:ok, found}
-      {{:ok, found}, plain} -> {:error, ambiguous_error(spec, [found | plain])}
-      {_, [found]} -> {:ok, found}
+      {{:ok, match}, []} -> {:ok, match}
+      {{:ok, match}, plain} -> {:error, ambiguous_error(spec, [match | plain])}
+      {_, [match]} -> {:ok, match}
       {{:error, error}, []} -> {:error, error}
       {:none, []} -> {:error, no_stream_error(open, spec)}
       {_, several} -> {:error, ambiguous_error(spec, several)}
@@ -94,11 +94,11 @@ defmodule Situ.Dataset.OpenSession do
         {:error, error}
 
       {nil, name} ->
-        place = "session #{inspect(name)}"
+        owner = "session #{inspect(name)}"
 
-        with {:ok, found} <-
-               NameRules.fetch_named(stores, partition, :no_partition, "partition", place),
-             do: {:ok, found.store}
+        with {:ok, match} <-
+               NameRules.fetch_named(stores, partition, :no_partition, "partition", owner),
+             do: {:ok, match.store}
     end
   end
 
@@ -113,12 +113,12 @@ defmodule Situ.Dataset.OpenSession do
     end
   end
 
-  defp ambiguous_error(spec, found) do
-    names = Enum.map_join(found, ", ", fn {p, _, s} -> inspect("[#{p}]:#{s}") end)
+  defp ambiguous_error(spec, matches) do
+    names = Enum.map_join(matches, ", ", fn {p, _, s} -> inspect("[#{p}]:#{s}") end)
 
     Error.new(
       :ambiguous_stream,
-      "#{inspect(spec)} is ambiguous: it matches #{length(found)} streams",
+      "#{inspect(spec)} is ambiguous: it matches #{length(matches)} streams",
       why: "several partitions have a stream of that name",
       fix: "add the partition: #{names}"
     )

@@ -62,18 +62,18 @@ defmodule Situ.Dataset.Server do
     later = Map.new(new.sessions, &{&1.name, &1})
     removed = for {name, session} <- before, not is_map_key(later, name), do: {name, session}
     added = for session <- new.sessions, not is_map_key(before, session.name), do: session
-    gone = Enum.map(removed, fn {_, session} -> session.partitions end)
+    old_partitions = Enum.map(removed, fn {_, session} -> session.partitions end)
 
-    told =
+    changes =
       for({name, _} <- removed, do: {:session_removed, name}) ++
         for(
           s <- added,
-          do: {if(s.partitions in gone, do: :session, else: :session_added), s.name}
+          do: {if(s.partitions in old_partitions, do: :session, else: :session_added), s.name}
         ) ++
         for s <- new.sessions, old = before[s.name], old != s, do: {:session, s.name}
 
     same = [:name, :metadata, :tags, :sessions, :unsaved?, :file]
-    if Map.take(old, same) == Map.take(new, same), do: [], else: [:dataset | told]
+    if Map.take(old, same) == Map.take(new, same), do: [], else: [:dataset | changes]
   end
 
   @impl true

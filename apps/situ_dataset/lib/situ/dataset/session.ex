@@ -53,19 +53,19 @@ defmodule Situ.Dataset.Session do
   @doc "Removes a partition from the session; the recording is not deleted."
   @spec remove_partition(t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def remove_partition(%__MODULE__{} = session, name) do
-    with {:ok, found} <- fetch_partition(session, name),
-         do: {:ok, %{session | partitions: List.delete(session.partitions, found)}}
+    with {:ok, partition} <- fetch_partition(session, name),
+         do: {:ok, %{session | partitions: List.delete(session.partitions, partition)}}
   end
 
   @doc "Renames a partition."
   @spec rename_partition(t(), String.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def rename_partition(%__MODULE__{} = session, from, to) do
-    with {:ok, found} <- fetch_partition(session, from),
+    with {:ok, partition} <- fetch_partition(session, from),
          :ok <- NameRules.check_valid(to, "partition"),
          :ok <-
            NameRules.check_free(
              to,
-             List.delete(session.partitions, found),
+             List.delete(session.partitions, partition),
              session_label(session)
            ) do
       swap = &if(&1.name == from, do: %{&1 | name: to}, else: &1)

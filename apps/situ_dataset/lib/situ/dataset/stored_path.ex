@@ -118,10 +118,10 @@ defmodule Situ.Dataset.StoredPath do
   defp normalize_segments(segments) do
     segments
     |> Enum.reduce([], fn
-      ".", kept -> kept
+      ".", parents -> parents
       "..", [] -> []
-      "..", [_ | kept] -> kept
-      segment, kept -> [segment | kept]
+      "..", [_ | parents] -> parents
+      segment, parents -> [segment | parents]
     end)
     |> Enum.reverse()
   end

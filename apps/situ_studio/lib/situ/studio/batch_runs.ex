@@ -13,7 +13,7 @@ defmodule Situ.Studio.BatchRuns do
 
   # The minimum interval between page updates, and the number of finished runs to keep.
   @tell_ms 250
-  @kept 20
+  @max_runs 20
 
   @doc "Starts the batch runner of the studio `:id`."
   @spec start_link(keyword()) :: GenServer.on_start()
@@ -58,7 +58,8 @@ defmodule Situ.Studio.BatchRuns do
   def cancel_run(studio, id), do: GenServer.call(via(studio), {:cancel, id})
 
   @impl true
-  def init(_id), do: {:ok, %{runs: [], tasks: %{}, next: 1, subscribers: %{}, told: 0, due: nil}}
+  def init(_id),
+    do: {:ok, %{runs: [], tasks: %{}, next: 1, subscribers: %{}, last_notice: 0, due: nil}}
 
   @impl true
   def handle_call({:subscribe, file, pid}, _from, state) do
@@ -95,7 +96,7 @@ defmodule Situ.Studio.BatchRuns do
       state = %{state | next: id + 1, tasks: Map.put(state.tasks, ref, id)}
 
       {:reply, {:ok, id},
-       notify_subscribers(%{state | runs: Enum.take([run | state.runs], @kept)})}
+       notify_subscribers(%{state | runs: Enum.take([run | state.runs], @max_runs)})}
     end
   end
 
@@ -165,7 +166,7 @@ defmodule Situ.Studio.BatchRuns do
 
   # Limits updates to a rate that pages can draw.
   defp schedule_update(%{due: nil} = state) do
-    case monotonic_ms() - state.told do
+    case monotonic_ms() - state.last_notice do
       ago when ago >= @tell_ms -> notify_subscribers(state)
       ago -> %{state | due: Process.send_after(self(), :tell, @tell_ms - ago)}
     end
@@ -179,7 +180,7 @@ defmodule Situ.Studio.BatchRuns do
     for {_, {pid, file}} <- state.subscribers,
         do: send(pid, {:batch, file, runs_of_file(state, file)})
 
-    %{state | told: monotonic_ms(), due: nil}
+    %{state | last_notice: monotonic_ms(), due: nil}
   end
 
   defp runs_of_file(state, file), do: Enum.filter(state.runs, &(&1.file == file))

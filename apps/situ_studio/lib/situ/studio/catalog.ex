@@ -102,7 +102,7 @@ defmodule Situ.Studio.Catalog do
     state = %{
       id: opts[:id],
       path: opts[:path],
-      given: opts[:sources] || %{},
+      sources: opts[:sources] || %{},
       pipelines: opts[:pipelines] || [],
       nodes: opts[:recordings],
       open: %{},
@@ -274,7 +274,7 @@ defmodule Situ.Studio.Catalog do
 
   # Returns all items except the recordings of the folder.
   defp source_items(state) do
-    given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
+    sources = for {id, _} <- state.sources, do: %Item{id: id, title: id, kind: :source}
 
     running =
       for {id, _} <- Recordings.Pipeline.list_running(state.pipelines),
@@ -286,11 +286,11 @@ defmodule Situ.Studio.Catalog do
           not Enum.any?(running, &(&1.id == id)),
           do: %Item{id: id, title: id, kind: :pipeline, live: false}
 
-    Enum.sort_by(given, & &1.title) ++ running ++ ended
+    Enum.sort_by(sources, & &1.title) ++ running ++ ended
   end
 
   defp fetch_source(state, %Item{kind: :source, id: id}),
-    do: {:ok, Map.fetch!(state.given, id), state}
+    do: {:ok, Map.fetch!(state.sources, id), state}
 
   defp fetch_source(_state, %Item{kind: :dataset, id: id}),
     do: {:error, Error.new(:is_dataset, "#{id} is a dataset", fix: "open one of its sessions")}

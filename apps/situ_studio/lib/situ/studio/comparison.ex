@@ -37,7 +37,7 @@ defmodule Situ.Studio.Comparison do
 
       both = Recordings.Comparison.combine_recordings(first, second, offset)
 
-      told = %__MODULE__{
+      comparison = %__MODULE__{
         id: other,
         title: compared.title,
         offset: offset,
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Comparison do
         second: b
       }
 
-      {:ok, item, DerivedStreams.wrap(both), told}
+      {:ok, item, DerivedStreams.wrap(both), comparison}
     end
   end
 

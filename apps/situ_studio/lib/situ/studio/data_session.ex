@@ -35,7 +35,7 @@ defmodule Situ.Studio.DataSession do
 
   @type t :: %__MODULE__{
           source: Situ.Recording.t(),
-          visualizers: [Visualizer.given()],
+          visualizers: [Visualizer.definition()],
           channels: %{
             optional(Frame.channel()) => {Visualizer.spec() | {:error, String.t()}, term()}
           },
@@ -43,7 +43,7 @@ defmodule Situ.Studio.DataSession do
         }
 
   @doc "Creates a session for `source`; `visualizers` are the studio's additions to the built-in ones."
-  @spec new(Situ.Recording.t(), [Visualizer.given()]) :: t()
+  @spec new(Situ.Recording.t(), [Visualizer.definition()]) :: t()
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "Returns the reply to one request. After `{:error, error}`, which rejects malformed input, close the socket."

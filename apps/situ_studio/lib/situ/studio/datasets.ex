@@ -36,14 +36,14 @@ defmodule Situ.Studio.Datasets do
   @doc "Applies `fun` to the current content of the dataset's file and saves the result."
   @spec edit(GenServer.server(), Path.t(), (Dataset.t() -> Dataset.result())) :: Dataset.result()
   def edit(server, file, fun) do
-    Server.edit(server, fn held ->
-      with {:ok, dataset} <- current(held, file), do: Dataset.update(dataset, fun)
+    Server.edit(server, fn dataset ->
+      with {:ok, dataset} <- current(dataset, file), do: Dataset.update(dataset, fun)
     end)
   end
 
   # A dataset that cannot be saved under its name (a .pds file) keeps the content that was read when it was opened.
-  defp current(%Dataset{file: nil} = held, _file), do: {:ok, held}
-  defp current(_held, file), do: Dataset.load(file, autosave: true)
+  defp current(%Dataset{file: nil} = dataset, _file), do: {:ok, dataset}
+  defp current(_dataset, file), do: Dataset.load(file, autosave: true)
 
   @doc "Reloads the file."
   @spec reload_dataset(GenServer.server(), Path.t()) :: Dataset.result()

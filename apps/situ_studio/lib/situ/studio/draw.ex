@@ -105,29 +105,29 @@ defmodule Situ.Studio.Draw do
   end
 
   defp message_at_cursor(source, channel, %{stream: stream} = spec, time, last) do
-    {last, kept} = last || {nil, %{}}
+    {last, cache} = last || {nil, %{}}
 
     case cursor_message(source, stream, time, Map.get(spec, :props, %{})) do
       {:ok, %{data: %Gap{}}} ->
-        {if(last == :hole, do: Frame.same_message(channel), else: Frame.no_message(channel)),
-         {:hole, kept}}
+        {if(last == :gap, do: Frame.same_message(channel), else: Frame.no_message(channel)),
+         {:gap, cache}}
 
       {:ok, message} ->
         mark = {message.originating_time, message.sequence_id}
 
         if mark == last do
-          {Frame.same_message(channel), {last, kept}}
+          {Frame.same_message(channel), {last, cache}}
         else
-          {frame, kept} = encode_instant(source, channel, spec, message, kept)
-          {frame, {mark, kept}}
+          {frame, cache} = encode_instant(source, channel, spec, message, cache)
+          {frame, {mark, cache}}
         end
 
       :none ->
         {if(last == :none, do: Frame.same_message(channel), else: Frame.no_message(channel)),
-         {:none, kept}}
+         {:none, cache}}
 
       {:error, error} ->
-        {Frame.error(channel, error.what), {nil, kept}}
+        {Frame.error(channel, error.what), {nil, cache}}
     end
   end
 
@@ -174,22 +174,22 @@ defmodule Situ.Studio.Draw do
     do: Code.ensure_loaded?(module) and function_exported?(module, function, arity)
 
   # Returns the frame, and the parts of messages that the page caches after it.
-  defp encode_instant(source, channel, %{path: path} = spec, message, kept) do
-    context = %{source: source, spec: spec, kept: kept}
+  defp encode_instant(source, channel, %{path: path} = spec, message, cache) do
+    context = %{source: source, spec: spec, cache: cache}
 
     with {:ok, data} <- ValuePath.fetch(message.data, path),
          {:error, what} <- call_instant(context, channel, data, message) do
-      {Frame.error(channel, what), kept}
+      {Frame.error(channel, what), cache}
     else
-      :error -> {Frame.error(channel, "this message does not have a value at this path"), kept}
-      {:kept, frame, kept} -> {frame, kept}
-      frame -> {frame, kept}
+      :error -> {Frame.error(channel, "this message does not have a value at this path"), cache}
+      {:cache, frame, cache} -> {frame, cache}
+      frame -> {frame, cache}
     end
   rescue
     # Messages come from files and external programs. Data that does not match its type shows an error in its panel,
     # and the rest of the page keeps working.
     error ->
-      {Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}"), kept}
+      {Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}"), cache}
   end
 
   defp call_instant(%{spec: %{viz: %{module: module} = viz}} = context, channel, data, message) do

@@ -36,7 +36,7 @@ defmodule Situ.Studio.History do
           live: boolean()
         }
 
-  @typedoc "The figures of a stream: `total` bytes were received, and `kept` messages remain."
+  @typedoc "The figures of a stream: `total` bytes were received, and `stored` messages remain."
   @type stream :: %{
           name: String.t(),
           type: Situ.Type.t(),
@@ -44,7 +44,7 @@ defmodule Situ.Studio.History do
           first: Situ.Time.t() | nil,
           last: Situ.Time.t() | nil,
           total: non_neg_integer(),
-          kept: non_neg_integer()
+          stored: non_neg_integer()
         }
 
   @doc """
@@ -117,9 +117,9 @@ defmodule Situ.Studio.History do
   defp renumber_later(_history, _name, _end_of_stream, next), do: next
 
   defp count_message(history, name, time, bytes) do
-    [{_, type, count, held, first, last, total, kept}] = :ets.lookup(history.streams, name)
+    [{_, type, count, size, first, last, total, stored}] = :ets.lookup(history.streams, name)
     {first, last} = {min(first || time, time), max(last || time, time)}
-    row = {name, type, count + 1, held + bytes, first, last, total + bytes, kept + 1}
+    row = {name, type, count + 1, size + bytes, first, last, total + bytes, stored + 1}
     :ets.insert(history.streams, drop_old(history, row))
   end
 
@@ -148,8 +148,8 @@ defmodule Situ.Studio.History do
     :ok
   end
 
-  defp drop_old(history, {name, type, count, held, first, last, total, kept} = row) do
-    if held > history.max_bytes or last - first > history.max_age do
+  defp drop_old(history, {name, type, count, size, first, last, total, stored} = row) do
+    if size > history.max_bytes or last - first > history.max_age do
       case :ets.lookup(history.messages, {name, first}) do
         [{key, _, bytes, ordinal}] ->
           next = :ets.next(history.messages, key)
@@ -158,14 +158,14 @@ defmodule Situ.Studio.History do
 
           case next do
             {^name, time} ->
-              drop_old(history, {name, type, count, held - bytes, time, last, total, kept - 1})
+              drop_old(history, {name, type, count, size - bytes, time, last, total, stored - 1})
 
             _ ->
               {name, type, count, 0, last, last, total, 1}
           end
 
         [] ->
-          {name, type, count, held, last, last, total, kept}
+          {name, type, count, size, last, last, total, stored}
       end
     else
       row
@@ -191,8 +191,8 @@ defmodule Situ.Studio.History do
     ArgumentError -> raise gone_error()
   end
 
-  defp stream_figures({name, type, count, _held, first, last, total, kept}) do
-    figures = %{count: count, first: first, last: last, total: total, kept: kept}
+  defp stream_figures({name, type, count, _size, first, last, total, stored}) do
+    figures = %{count: count, first: first, last: last, total: total, stored: stored}
     Map.merge(figures, %{name: name, type: type})
   end
 

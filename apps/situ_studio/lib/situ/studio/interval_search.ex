@@ -28,7 +28,7 @@ defmodule Situ.Studio.IntervalSearch do
       :bad_expression
   """
   @spec run_query([{String.t(), Path.t()}], String.t()) ::
-          {:ok, Query.found()} | {:error, Error.t()}
+          {:ok, Query.result()} | {:error, Error.t()}
   def run_query(parts, text) do
     with {:ok, expression} <- Situ.Expression.parse(text),
          {:ok, session} <- build_session(parts),

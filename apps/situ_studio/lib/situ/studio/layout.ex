@@ -42,18 +42,18 @@ defmodule Situ.Studio.Layout do
   alias Situ.Studio.Layout.Rows
 
   @enforce_keys [:name]
-  defstruct [:name, rows: [], next: 1, beside: false, compared: nil]
+  defstruct [:name, rows: [], next: 1, cell_column: false, compared: nil]
 
   @typedoc """
-  `rows` contains panels; neighbors with the same `row` are shown side by side. With `beside`, the cells have a column
-  to the left of the timelines. `compared` contains the id of the compared recording and the shift of its times in ns,
-  from which `Situ.Studio.Comparison` restores the comparison.
+  `rows` contains panels; neighbors with the same `row` are shown side by side. With `cell_column`, the cells have a
+  column to the left of the timelines. `compared` contains the id of the compared recording and the shift of its times
+  in ns, from which `Situ.Studio.Comparison` restores the comparison.
   """
   @type t :: %__MODULE__{
           name: String.t(),
           rows: [Panel.t()],
           next: pos_integer(),
-          beside: boolean(),
+          cell_column: boolean(),
           compared: {id :: String.t(), Situ.Time.duration()} | nil
         }
 
@@ -219,7 +219,7 @@ defmodule Situ.Studio.Layout do
       iex> for p <- layout.rows, do: hd(p.vis).stream
       ["B", "A"]
   """
-  @spec move_panel(t(), String.t(), Rows.place()) :: {:ok, t()} | {:error, Error.t()}
+  @spec move_panel(t(), String.t(), Rows.target()) :: {:ok, t()} | {:error, Error.t()}
   def move_panel(%__MODULE__{} = layout, id, where) do
     with {:ok, rows} <- Rows.place_panel(layout.rows, id, where),
          do: {:ok, %{layout | rows: rows}}
@@ -238,7 +238,8 @@ defmodule Situ.Studio.Layout do
 
   @doc "Moves the cells to a column next to the timelines, or back above them."
   @spec toggle_cell_column(t()) :: t()
-  def toggle_cell_column(%__MODULE__{} = layout), do: %{layout | beside: not layout.beside}
+  def toggle_cell_column(%__MODULE__{} = layout),
+    do: %{layout | cell_column: not layout.cell_column}
 
   @doc """
   Returns the CSS of a line's height: the height that the user set, or a minimum height and a share of the rest.

@@ -26,7 +26,7 @@ defmodule Situ.Studio.Layouts do
   def load(dir, name) do
     with nil <- Enum.find(load_all(dir), &(&1.name == name)),
          nil <-
-           Enum.find_value(list_broken_files(dir), fn {_, said, e} -> if said == name, do: e end) do
+           Enum.find_value(list_broken_files(dir), fn {_, title, e} -> if title == name, do: e end) do
       {:error,
        Error.new(:no_layout, "there is no layout named #{inspect(name)}",
          fix: "choose a layout from the list"

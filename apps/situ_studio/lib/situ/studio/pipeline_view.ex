@@ -26,7 +26,7 @@ defmodule Situ.Studio.PipelineView do
 
   @tick_ms 500
   # The number of samples kept for the plots; an open page adds 1,200 samples in ten minutes.
-  @kept 1_200
+  @max_samples 1_200
   @recorded 400
   @messages 8
 
@@ -241,7 +241,7 @@ defmodule Situ.Studio.PipelineView do
       snapshot: snapshot,
       taken: taken,
       sample: sample,
-      samples: if(a.live, do: Enum.take([sample | a.samples], @kept), else: a.samples)
+      samples: if(a.live, do: Enum.take([sample | a.samples], @max_samples), else: a.samples)
     )
   end
 

@@ -177,10 +177,10 @@ defmodule Situ.Studio.Plugins do
   end
 
   @doc "Returns the visualizers of plug-ins and applications, and the visualizers that adapters add."
-  @spec list_visualizers([Plugin.t()], [Visualizer.given()], [module()]) :: [Visualizer.t()]
-  def list_visualizers(plugins, given \\ [], adapters \\ []) do
+  @spec list_visualizers([Plugin.t()], [Visualizer.definition()], [module()]) :: [Visualizer.t()]
+  def list_visualizers(plugins, modules \\ [], adapters \\ []) do
     own =
-      Enum.map(given ++ configured_modules(:studio_visualizers), &Visualizer.to_visualizer/1) ++
+      Enum.map(modules ++ configured_modules(:studio_visualizers), &Visualizer.to_visualizer/1) ++
         Enum.flat_map(plugins, & &1.visualizers)
 
     all = own ++ Visualizers.all()

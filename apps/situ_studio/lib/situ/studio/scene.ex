@@ -53,45 +53,45 @@ defmodule Situ.Studio.Scene do
   def encode_integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
 
   # The maximum total size of a page's mesh cache, and the minimum size of a mesh that is cached, in bytes.
-  @most_kept 67_108_864
-  @least_kept 1_024
+  @max_cache_bytes 67_108_864
+  @min_mesh_bytes 1_024
 
   @doc """
-  Replaces the numbers of meshes that the page has cached with their names. `kept` maps the names of cached meshes to
-  their sizes. A new mesh is sent with its numbers and a name to cache it under, if the cache has room. If `kept` is
+  Replaces the numbers of meshes that the page has cached with their names. `cache` maps the names of cached meshes to
+  their sizes. A new mesh is sent with its numbers and a name to cache it under, if the cache has room. If `cache` is
   `nil`, nothing is cached.
 
       iex> mesh = Situ.Studio.Scene.new_item(:meshes, 1, position: <<0::9600>>, index: <<0::96>>)
-      iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], kept} = Situ.Studio.Scene.cache_meshes([mesh], %{})
-      iex> {[%{numbers: [], meta: %{"held" => ^name}}], ^kept} = Situ.Studio.Scene.cache_meshes([mesh], kept)
-      iex> map_size(kept)
+      iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], cache} = Situ.Studio.Scene.cache_meshes([mesh], %{})
+      iex> {[%{numbers: [], meta: %{"held" => ^name}}], ^cache} = Situ.Studio.Scene.cache_meshes([mesh], cache)
+      iex> map_size(cache)
       1
   """
-  @spec cache_meshes([item()], kept | nil) :: {[item()], kept | nil}
-        when kept: %{binary() => pos_integer()}
+  @spec cache_meshes([item()], cache | nil) :: {[item()], cache | nil}
+        when cache: %{binary() => pos_integer()}
   def cache_meshes(items, nil), do: {items, nil}
-  def cache_meshes(items, kept), do: Enum.map_reduce(items, kept, &cache_mesh/2)
+  def cache_meshes(items, cache), do: Enum.map_reduce(items, cache, &cache_mesh/2)
 
-  defp cache_mesh(%{kind: :meshes, numbers: numbers} = item, kept) do
+  defp cache_mesh(%{kind: :meshes, numbers: numbers} = item, cache) do
     size = IO.iodata_length(Keyword.values(numbers))
-    name = if size >= @least_kept, do: mesh_name(numbers)
+    name = if size >= @min_mesh_bytes, do: mesh_name(numbers)
 
     cond do
       name == nil ->
-        {item, kept}
+        {item, cache}
 
-      is_map_key(kept, name) ->
-        {%{item | numbers: [], meta: Map.put(item.meta, "held", name)}, kept}
+      is_map_key(cache, name) ->
+        {%{item | numbers: [], meta: Map.put(item.meta, "held", name)}, cache}
 
-      Enum.sum(Map.values(kept)) + size > @most_kept ->
-        {item, kept}
+      Enum.sum(Map.values(cache)) + size > @max_cache_bytes ->
+        {item, cache}
 
       true ->
-        {%{item | meta: Map.put(item.meta, "keep", name)}, Map.put(kept, name, size)}
+        {%{item | meta: Map.put(item.meta, "keep", name)}, Map.put(cache, name, size)}
     end
   end
 
-  defp cache_mesh(item, kept), do: {item, kept}
+  defp cache_mesh(item, cache), do: {item, cache}
 
   defp mesh_name(numbers) do
     sizes = for {_, bytes} <- numbers, do: <<IO.iodata_length(bytes)::64>>

@@ -32,8 +32,8 @@ defmodule Situ.Studio.Settings do
   def load(layouts) do
     with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(settings_path(layouts)),
          {:ok, text} <- File.read(settings_path(layouts)),
-         {:ok, %{} = given} <- Situ.JSON.decode(text) do
-      put_values(%__MODULE__{}, given)
+         {:ok, %{} = json} <- Situ.JSON.decode(text) do
+      put_values(%__MODULE__{}, json)
     else
       _ -> %__MODULE__{}
     end
@@ -46,16 +46,16 @@ defmodule Situ.Studio.Settings do
       %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count, alerts: ""}
   """
   @spec put_values(t(), map()) :: t()
-  def put_values(%__MODULE__{} = settings, given) do
-    layout = given["layout"]
+  def put_values(%__MODULE__{} = settings, json) do
+    layout = json["layout"]
 
     %{
       settings
       | layout:
           if(is_binary(layout) and String.valid?(layout), do: layout, else: settings.layout),
-        keep: find_choice(@keeps, given["keep"], settings.keep),
-        info: find_choice(@infos, given["info"], settings.info),
-        alerts: valid_alerts(given["alerts"], settings.alerts)
+        keep: find_choice(@keeps, json["keep"], settings.keep),
+        info: find_choice(@infos, json["info"], settings.info),
+        alerts: valid_alerts(json["alerts"], settings.alerts)
     }
   end
 

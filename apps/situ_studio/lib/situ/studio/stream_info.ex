@@ -1,14 +1,7 @@
 defmodule Situ.Studio.StreamInfo do
   @moduledoc false
   # Describes one stream of any recording for a page, including its shape, by which visualizers
-  # are chosen.
-  #
-  # `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
-  # `:depth`, `:shapes` (rectangles and points over images), `:masks` (lists of masks over
-  # images), `:bars` (lists of numbers), `:signals` (maps of numbers), `:states` (maps of
-  # booleans, atoms or strings), `:spans` (time intervals), `:space` (poses, clouds, skeletons and
-  # so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
-  # term).
+  # are chosen. `Situ.Studio.Visualizer` lists the shapes.
   alias Situ.Studio.Draw.{Key, Segments}
   alias Situ.Studio.Scene.TermItems
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}

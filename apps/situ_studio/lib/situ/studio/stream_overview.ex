@@ -68,7 +68,7 @@ defmodule Situ.Studio.StreamOverview do
       last: info.last,
       path: extra[:path],
       count: info.count,
-      rate: StreamInfo.mean_rate(extra[:kept] || info.count, info.first, info.last),
+      rate: StreamInfo.mean_rate(extra[:stored] || info.count, info.first, info.last),
       bytes: info.size,
       latency: info.latency_sum && Store.StreamInfo.average_latency(info),
       keys: keys,

@@ -76,7 +76,7 @@ defmodule Situ.Studio.Visualizer do
         }
 
   @typedoc "A module with this behaviour, or a visualizer's description."
-  @type given :: module() | t()
+  @type definition :: module() | t()
 
   @typedoc "The stream to draw, the part of its messages, and the properties from the page."
   @type spec :: %{
@@ -93,7 +93,7 @@ defmodule Situ.Studio.Visualizer do
   @type context :: %{
           required(:source) => Situ.Recording.t(),
           required(:spec) => spec(),
-          optional(:kept) => %{binary() => pos_integer()}
+          optional(:cache) => %{binary() => pos_integer()}
         }
 
   @doc "Returns the visualizer's description. `module` is filled in; `drawer` defaults to `id`."
@@ -115,10 +115,10 @@ defmodule Situ.Studio.Visualizer do
 
   @doc """
   Does the same as `c:instant/3`, for visualizers that also need the source or the properties of the channel.
-  `{:kept, frame, kept}` also returns the parts that the page caches after that frame.
+  `{:cache, frame, cache}` also returns the parts that the page caches after that frame.
   """
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
-              Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
+              Frame.t() | {:cache, Frame.t(), map() | nil} | {:error, String.t()}
 
   @typedoc "The value of a stream at a time: a frame, and a mark that differs for each message."
   @type value :: {:ok, mark :: term(), Frame.t()} | :none | {:error, Situ.Error.t()}
@@ -132,7 +132,7 @@ defmodule Situ.Studio.Visualizer do
   @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 
   @doc "Returns the complete description of a visualizer, given a module or a description."
-  @spec to_visualizer(given()) :: t()
+  @spec to_visualizer(definition()) :: t()
   def to_visualizer(%__MODULE__{} = visualizer),
     do: %{visualizer | drawer: visualizer.drawer || visualizer.id}
 

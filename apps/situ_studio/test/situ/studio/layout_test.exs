@@ -331,12 +331,12 @@ defmodule Situ.Studio.LayoutTest do
       "Right" => %ImageLook{width: 640, height: 480}
     }
 
-    assert %{beside: false} = layout = Layout.Auto.build_layout(streams, looks)
+    assert %{cell_column: false} = layout = Layout.Auto.build_layout(streams, looks)
 
     assert [["Pan"], ["Left", "Right"], ["Sound"], ["Level"]] =
              for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
 
-    assert %{beside: true} = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
+    assert %{cell_column: true} = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
   end
 
   test "colors images of class numbers: over a camera's image, or alone" do

@@ -10,12 +10,12 @@ defmodule Situ.CLI.Dataset.Listing do
   @spec list_sessions(Dataset.t(), keyword()) :: 0 | 1
   def list_sessions(dataset, opts) do
     sessions = Dataset.select_sessions(dataset, tags: opts[:tag], name: opts[:name] || "*")
-    shown = %{dataset | sessions: sessions}
-    summaries = Dataset.session_summaries(shown)
+    selection = %{dataset | sessions: sessions}
+    summaries = Dataset.session_summaries(selection)
 
     if opts[:json],
-      do: Output.print_json(dataset_json(shown, summaries)),
-      else: print_dataset(shown, summaries)
+      do: Output.print_json(dataset_json(selection, summaries)),
+      else: print_dataset(selection, summaries)
 
     if Enum.any?(summaries, fn {_, s} -> s.unknown > 0 end), do: 1, else: 0
   end

@@ -103,8 +103,8 @@ defmodule Situ.CLI.Store.Arguments do
 
   defp parse_upsert!(store, text) do
     case String.split(text, "=", parts: 2) do
-      [place, json] ->
-        {stream, time} = parse_position!(place)
+      [position, json] ->
+        {stream, time} = parse_position!(position)
         {stream, {:upsert, time, fit_type(store, stream, parse_json!(json))}}
 
       _ ->
@@ -203,7 +203,7 @@ defmodule Situ.CLI.Store.Arguments do
   defp matching_streams!(store, all, name) do
     case {Enum.find(all, &(&1.name == name)), Enum.filter(all, &name_matches?(&1.name, name))} do
       {%{} = exact, _} -> [exact]
-      {nil, [_ | _] = found} -> found
+      {nil, [_ | _] = streams} -> streams
       {nil, []} -> [Error.unwrap!(Store.stream_info(store, name))]
     end
   end

@@ -234,9 +234,9 @@ defmodule Situ.CLI.Store.Copying do
     name = Store.info(store).name
     out = Path.join(Path.dirname(store.path), name)
     streams = Arguments.copy_options([exclude: unwanted], fn _, _ -> :ok end)[:streams]
-    kept = Enum.filter(Store.streams(store), streams)
+    infos = Enum.filter(Store.streams(store), streams)
 
-    if length(kept) == length(Store.streams(store)) do
+    if length(infos) == length(Store.streams(store)) do
       raise Error.new(
               :no_stream,
               "no stream of #{store.path} matches #{Enum.join(unwanted, ", ")}",

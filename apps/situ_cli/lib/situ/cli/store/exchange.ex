@@ -167,7 +167,7 @@ defmodule Situ.CLI.Store.Exchange do
   defp record_topics(%{out: out, topic: topics}, opts) do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     me = self()
-    came = :counters.new(1, [])
+    counter = :counters.new(1, [])
     most = opts[:number] || :infinity
 
     build = fn p ->
@@ -177,8 +177,8 @@ defmodule Situ.CLI.Store.Exchange do
         p
         |> Transport.subscribe_topic(topic, opts)
         |> Situ.map(fn data ->
-          :counters.add(came, 1, 1)
-          if :counters.get(came, 1) >= most, do: send(me, :enough)
+          :counters.add(counter, 1, 1)
+          if :counters.get(counter, 1) >= most, do: send(me, :enough)
           data
         end)
         |> Store.write(store, topic)
@@ -190,7 +190,7 @@ defmodule Situ.CLI.Store.Exchange do
     with {:ok, p} <- Pipeline.start(build, []),
          {:ok, report} <- await_end(p, opts[:length]) do
       path = report.result.path
-      summary = %{path: path, messages: :counters.get(came, 1), streams: Enum.uniq(topics)}
+      summary = %{path: path, messages: :counters.get(counter, 1), streams: Enum.uniq(topics)}
       if opts[:json], do: Output.print_json(summary), else: Output.puts(path)
       0
     else

@@ -126,12 +126,12 @@ defmodule Situ.CLI.Store.Export do
 
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
-    chosen = Arguments.select_streams!(store, opts)
+    infos = Arguments.select_streams!(store, opts)
     if file != "-", do: UnfinishedOutput.remove_file_at_exit(file)
 
     saved =
       Progress.with_progress("save", opts, fn progress ->
-        write_format(format, store, chosen, file, opts, progress)
+        write_format(format, store, infos, file, opts, progress)
       end)
 
     if opts[:json] && file != "-",
@@ -141,12 +141,12 @@ defmodule Situ.CLI.Store.Export do
   end
 
   # An MCAP file is copied to another MCAP file record by record.
-  defp write_format(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
+  defp write_format(:mcap, %{module: Mcap} = store, infos, file, opts, progress) do
     reject_join!(opts)
     refuse_stdout!(file, :mcap)
-    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
-    all? = length(chosen) == length(Store.streams(store))
-    names = unless all?, do: Enum.map(chosen, & &1.name)
+    total = infos |> Enum.map(& &1.count) |> Enum.sum()
+    all? = length(infos) == length(Store.streams(store))
+    names = unless all?, do: Enum.map(infos, & &1.name)
     carried = [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
     written = [progress: &progress.(&1, total)] ++ compression_option(:mcap, opts[:compression])
     copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ read_options(opts)
@@ -155,15 +155,15 @@ defmodule Situ.CLI.Store.Export do
       OutputFile.write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
 
     for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
-    Map.put(copied, :streams, length(chosen))
+    Map.put(copied, :streams, length(infos))
   end
 
-  defp write_format(format, store, chosen, file, opts, progress)
+  defp write_format(format, store, infos, file, opts, progress)
        when is_map_key(@recordings, format) do
     reject_join!(opts)
     refuse_stdout!(file, format)
-    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
-    names = Enum.map(chosen, & &1.name)
+    total = infos |> Enum.map(& &1.count) |> Enum.sum()
+    names = Enum.map(infos, & &1.name)
     written = [progress: &progress.(&1, total)] ++ compression_option(format, opts[:compression])
 
     exporting = [streams: names] ++ read_options(opts) ++ written ++ carried_options(format, opts)
@@ -172,11 +172,11 @@ defmodule Situ.CLI.Store.Export do
     %{messages: count, streams: length(names)}
   end
 
-  defp write_format(format, store, chosen, file, opts, progress)
+  defp write_format(format, store, infos, file, opts, progress)
        when is_map_key(@tables, format) do
     [] = carried_options(format, opts)
     refuse_stdout!(file, format)
-    info = if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, chosen)
+    info = if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, infos)
 
     written =
       [progress: &progress.(&1, info.count)] ++ compression_option(format, opts[:compression])
@@ -184,47 +184,47 @@ defmodule Situ.CLI.Store.Export do
     write_table(
       opts[:on],
       @tables[format],
-      {store, info, chosen},
+      {store, info, infos},
       file,
       opts,
       read_options(opts) ++ written
     )
   end
 
-  defp write_format(:protobuf, store, chosen, file, opts, progress) do
+  defp write_format(:protobuf, store, infos, file, opts, progress) do
     reject_join!(opts)
     [] = carried_options(:protobuf, opts) ++ compression_option(:protobuf, opts[:compression])
     refuse_stdout!(file, :protobuf)
 
     Protobuf.save_stream(
       store,
-      single_stream!(store, chosen),
+      single_stream!(store, infos),
       file,
       opts,
       {read_options(opts), progress}
     )
   end
 
-  defp write_format(format, store, chosen, file, opts, progress) do
+  defp write_format(format, store, infos, file, opts, progress) do
     reject_join!(opts)
     [] = carried_options(format, opts)
     unless compression_option(format, opts[:compression]) == [], do: reject_compression(format)
-    info = single_stream!(store, chosen)
+    info = single_stream!(store, infos)
     out = OutputFile.open_output(file)
 
-    place =
+    state =
       store
       |> Store.columns(info, read_options(opts))
-      |> Enum.reduce(0, fn part, place ->
-        {records, place} = encode_records(format, part, place, out)
+      |> Enum.reduce(0, fn part, state ->
+        {records, state} = encode_records(format, part, state, out)
         OutputFile.write_bytes(out, records)
-        progress.(Format.record_count(place), info.count)
-        place
+        progress.(Format.record_count(state), info.count)
+        state
       end)
 
-    OutputFile.write_bytes(out, Format.fetch_module!(format).finish(place))
+    OutputFile.write_bytes(out, Format.fetch_module!(format).finish(state))
     OutputFile.close_output(out)
-    %{messages: Format.record_count(place), stream: info.name}
+    %{messages: Format.record_count(state), stream: info.name}
   end
 
   defp write_table(nil, module, {store, info, _chosen}, file, _opts, written),
@@ -233,10 +233,10 @@ defmodule Situ.CLI.Store.Export do
       stream: info.name
     }
 
-  defp write_table(on, module, {store, _info, chosen}, file, opts, written) do
+  defp write_table(on, module, {store, _info, infos}, file, opts, written) do
     # If no streams are selected, the table contains every stream that fits into a table.
     all? = (opts[:stream] || []) == [] and (opts[:exclude] || []) == []
-    joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
+    joining = [on: on, streams: unless(all?, do: Enum.map(infos, & &1.name))]
     joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
     joining = Keyword.take(opts, [:within]) ++ joining
     %{messages: Error.unwrap!(module.join(store, file, joining ++ written)), stream: on}
@@ -262,8 +262,8 @@ defmodule Situ.CLI.Store.Export do
   defp metadata_records(opts), do: Arguments.parse_records!(opts[:metadata] || [])
 
   # A record that cannot be encoded stops the export, and the incomplete file is deleted.
-  defp encode_records(format, part, place, out) do
-    Format.encode_records(format, part, place)
+  defp encode_records(format, part, state, out) do
+    Format.encode_records(format, part, state)
   rescue
     error in Error ->
       OutputFile.discard_output(out)

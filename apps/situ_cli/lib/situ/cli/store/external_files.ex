@@ -16,20 +16,20 @@ defmodule Situ.CLI.Store.ExternalFiles do
       streams = Store.streams(store)
       total = streams |> Enum.map(& &1.count) |> Enum.sum()
 
-      {read, found} =
+      {read, damage} =
         Enum.reduce(streams, {0, []}, fn info, acc ->
           read_stream(store, info, acc, &progress.(&1, total))
         end)
 
-      of_file = for place <- Store.info(store).damage, do: %{why: describe_damage(place)}
-      {:ok, %{messages: read, damage: of_file ++ Enum.reverse(found)}}
+      of_file = for position <- Store.info(store).damage, do: %{why: describe_damage(position)}
+      {:ok, %{messages: read, damage: of_file ++ Enum.reverse(damage)}}
     end
   end
 
   defp describe_damage(sentence) when is_binary(sentence), do: sentence
-  defp describe_damage(place), do: "at byte #{place[:offset]}: #{place[:why]}"
+  defp describe_damage(position), do: "at byte #{position[:offset]}: #{position[:why]}"
 
-  defp read_stream(store, info, {read, found}, progress) do
+  defp read_stream(store, info, {read, damage}, progress) do
     {n, bad, why} =
       store
       |> Store.messages(info)
@@ -42,9 +42,9 @@ defmodule Situ.CLI.Store.ExternalFiles do
         end
       end)
 
-    {read + n, undecoded_damage(info, bad, why) ++ found}
+    {read + n, undecoded_damage(info, bad, why) ++ damage}
   rescue
-    error in Error -> {read, [%{why: "#{info.name}: #{Exception.message(error)}"} | found]}
+    error in Error -> {read, [%{why: "#{info.name}: #{Exception.message(error)}"} | damage]}
   end
 
   defp undecoded_damage(_info, 0, _why), do: []

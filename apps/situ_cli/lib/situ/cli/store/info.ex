@@ -150,15 +150,15 @@ defmodule Situ.CLI.Store.Info do
     ]
 
   defp damage_lines(_store, info) do
-    shown = for place <- Enum.take(info.damage, 5), do: describe_damage(place)
+    lines = for damage <- Enum.take(info.damage, 5), do: describe_damage(damage)
 
-    more = length(info.damage) - length(shown)
-    shown ++ if(more > 0, do: ["at #{Output.format_count(more, "more position")}"], else: [])
+    more = length(info.damage) - length(lines)
+    lines ++ if(more > 0, do: ["at #{Output.format_count(more, "more position")}"], else: [])
   end
 
   # Some readers of external files describe damage as a sentence.
   defp describe_damage(sentence) when is_binary(sentence), do: sentence
-  defp describe_damage(place), do: "at byte #{place[:offset]}: #{place[:why]}"
+  defp describe_damage(damage), do: "at byte #{damage[:offset]}: #{damage[:why]}"
 
   defp print_streams(_store, []), do: :ok
 

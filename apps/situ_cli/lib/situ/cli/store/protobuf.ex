@@ -69,8 +69,13 @@ defmodule Situ.CLI.Store.Protobuf do
           %{messages: non_neg_integer(), stream: String.t()}
   def save_stream(store, info, file, opts, {reading, progress}) do
     messages = Situ.Store.messages(store, info.name, reading)
-    told = &progress.(&1, info.count)
-    n = Error.unwrap!(Protobuf.File.save(messages, file, [progress: told] ++ parse_options(opts)))
+    report_progress = &progress.(&1, info.count)
+
+    n =
+      Error.unwrap!(
+        Protobuf.File.save(messages, file, [progress: report_progress] ++ parse_options(opts))
+      )
+
     %{messages: n, stream: info.name}
   end
 end

@@ -49,8 +49,8 @@ defmodule Situ.CLI.Store.Pyramid do
   defp run_pyramid(%{path: path}, opts) do
     unless opts[:pixels] in 1..100_000, do: throw({:usage, "--pixels must be 1 to 100000"})
     store = Recording.open!(path)
-    chosen = Arguments.select_streams!(store, opts)
-    if opts[:build], do: build_pyramids(path, opts), else: show_summaries(store, chosen, opts)
+    infos = Arguments.select_streams!(store, opts)
+    if opts[:build], do: build_pyramids(path, opts), else: show_summaries(store, infos, opts)
   end
 
   defp build_pyramids(path, opts) do
@@ -65,14 +65,14 @@ defmodule Situ.CLI.Store.Pyramid do
     0
   end
 
-  defp show_summaries(store, chosen, opts) do
+  defp show_summaries(store, infos, opts) do
     stored? = store.module == NativeFormat
-    found = for info <- chosen, info.count > 0, do: read_summary(store, info, stored?, opts)
+    summaries = for info <- infos, info.count > 0, do: read_summary(store, info, stored?, opts)
 
     cond do
-      opts[:json] -> Output.print_json(found)
-      match?([_], found) and opts[:stream] != [] -> print_bins(hd(found))
-      true -> print_overview(found)
+      opts[:json] -> Output.print_json(summaries)
+      match?([_], summaries) and opts[:stream] != [] -> print_bins(hd(summaries))
+      true -> print_overview(summaries)
     end
 
     0
@@ -121,11 +121,11 @@ defmodule Situ.CLI.Store.Pyramid do
   defp key_text(key) when is_binary(key) or is_atom(key), do: to_string(key)
   defp key_text(key), do: inspect(key)
 
-  defp print_overview(found) do
+  defp print_overview(summaries) do
     head = ["stream", "pyramid", "tracks", "column", "columns", "took"]
 
     rows =
-      for s <- found do
+      for s <- summaries do
         tracks =
           Enum.map_join(s.tracks, ", ", fn t -> "#{if t.key, do: t.key <> ": "}#{t.kind}" end)
 

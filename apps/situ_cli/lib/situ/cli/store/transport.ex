@@ -62,29 +62,29 @@ defmodule Situ.CLI.Store.Transport do
 
   defp system_publisher("zeromq", p, opts) do
     socket = ZeroMQ.publisher(p, resolve_address(opts))
-    given = [format: message_format(opts), wait_for: opts[:subscribers], linger: 10_000]
-    fn stream, topic, _info -> ZeroMQ.publish(stream, socket, [topic: topic] ++ given) end
+    settings = [format: message_format(opts), wait_for: opts[:subscribers], linger: 10_000]
+    fn stream, topic, _info -> ZeroMQ.publish(stream, socket, [topic: topic] ++ settings) end
   end
 
   defp system_publisher("mqtt", _p, opts) do
     {host, port} = broker_address(opts)
-    given = [port: port, format: message_format(opts), linger: 10_000]
-    fn stream, topic, _info -> Mqtt.publish(stream, host, topic, given) end
+    settings = [port: port, format: message_format(opts), linger: 10_000]
+    fn stream, topic, _info -> Mqtt.publish(stream, host, topic, settings) end
   end
 
   defp system_publisher("ros", _p, opts) do
-    given = [master: resolve_address(opts), wait_for: opts[:subscribers], linger: 10_000]
+    settings = [master: resolve_address(opts), wait_for: opts[:subscribers], linger: 10_000]
 
     fn stream, topic, info ->
-      Ros.publish(stream, ros_name(topic), ros_type_option(info) ++ given)
+      Ros.publish(stream, ros_name(topic), ros_type_option(info) ++ settings)
     end
   end
 
   defp system_publisher("ros2", _p, opts) do
-    given = [router: resolve_address(opts), linger: 10_000]
+    settings = [router: resolve_address(opts), linger: 10_000]
 
     fn stream, topic, info ->
-      Ros2.publish(stream, ros_name(topic), ros_type_option(info) ++ given)
+      Ros2.publish(stream, ros_name(topic), ros_type_option(info) ++ settings)
     end
   end
 

@@ -18,7 +18,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema}
 
-  @place ~w(x y width height)
+  @box_keys ~w(x y width height)
   @second 1_000_000_000
 
   @impl true
@@ -26,17 +26,17 @@ defmodule Situ.Annotation.Exchange.Coco do
     {boxes, others} = layer |> Layer.annotations() |> Enum.split_with(&box?/1)
     {lasting, frames} = Enum.split_with(boxes, &(&1.from < &1.to))
 
-    shown =
+    image_boxes =
       frames |> Enum.group_by(& &1.track) |> Enum.flat_map(&boxes_on_images(&1, opts[:times]))
 
-    shown = shown ++ Enum.flat_map(lasting, &still_boxes(&1, opts[:times]))
+    image_boxes = image_boxes ++ Enum.flat_map(lasting, &still_boxes(&1, opts[:times]))
 
     by = Enum.find(layer.schema.attributes, &(&1.kind == :finite))
 
     categories =
       number_values(if by, do: Enum.map(by.values, & &1.value), else: [layer.schema.name])
 
-    pictures = shown |> Enum.map(& &1.from) |> Enum.uniq() |> Enum.sort() |> number_values()
+    pictures = image_boxes |> Enum.map(& &1.from) |> Enum.uniq() |> Enum.sort() |> number_values()
     tracks = number_values(Layer.track_names(layer))
 
     file = %{
@@ -52,17 +52,17 @@ defmodule Situ.Annotation.Exchange.Coco do
           do: %{"id" => id, "name" => name, "supercategory" => ""}
         ),
       "annotations" =>
-        for {a, id} <- shown |> Enum.sort_by(&{&1.from, &1.track}) |> Enum.with_index(1) do
+        for {a, id} <- image_boxes |> Enum.sort_by(&{&1.from, &1.track}) |> Enum.with_index(1) do
           category = if by, do: a.values[by.name], else: layer.schema.name
           ids = {id, pictures[a.from], categories[category], tracks[a.track]}
-          encode_annotation(a, ids, Map.drop(a.values, @place))
+          encode_annotation(a, ids, Map.drop(a.values, @box_keys))
         end
     }
 
     {Situ.JSON.encode_pretty(file) <> "\n", describe_losses(others, lasting, opts[:times])}
   end
 
-  defp box?(a), do: Enum.all?(@place, &is_number(a.values[&1]))
+  defp box?(a), do: Enum.all?(@box_keys, &is_number(a.values[&1]))
 
   defp number_values(values), do: values |> Enum.with_index(1) |> Map.new()
   defp sort_by_id(ids), do: Enum.sort_by(ids, &elem(&1, 1))
@@ -74,7 +74,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   end
 
   defp encode_annotation(a, {id, picture, category, track}, attributes) do
-    [_, _, width, height] = box = Enum.map(@place, &a.values[&1])
+    [_, _, width, height] = box = Enum.map(@box_keys, &a.values[&1])
 
     %{
       "id" => id,
@@ -120,13 +120,13 @@ defmodule Situ.Annotation.Exchange.Coco do
   defp box_at(frame, next, time) do
     part = (time - frame.from) / (next.from - frame.from)
 
-    place =
-      for name <- @place, into: %{} do
+    numbers =
+      for name <- @box_keys, into: %{} do
         {before, behind} = {frame.values[name], next.values[name]}
         {name, before + part * (behind - before)}
       end
 
-    %{frame | from: time, to: time, values: Map.merge(frame.values, place)}
+    %{frame | from: time, to: time, values: Map.merge(frame.values, numbers)}
   end
 
   # A box that does not move.
@@ -178,9 +178,9 @@ defmodule Situ.Annotation.Exchange.Coco do
     schema = opts[:schema] || parse_schema(own["schema"], categories)
     {times, untimed} = image_times(file["images"], origin, moved)
 
-    found = Enum.map(file["annotations"], &decode_box(&1, {categories, times, schema}))
-    boxes = for {:ok, a} <- found, do: a
-    bad = length(found) - length(boxes)
+    results = Enum.map(file["annotations"], &decode_box(&1, {categories, times, schema}))
+    boxes = for {:ok, a} <- results, do: a
+    bad = length(results) - length(boxes)
 
     losses =
       [
@@ -205,7 +205,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   end
 
   defp build_box_schema(names) do
-    numbers = for name <- @place, do: %{"name" => name, "kind" => "number"}
+    numbers = for name <- @box_keys, do: %{"name" => name, "kind" => "number"}
     names = if names == [], do: ["box"], else: names
     values = for name <- names, do: %{"value" => name}
     finite = %{"name" => "Label", "kind" => "finite", "values" => values}
@@ -231,7 +231,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   defp string_or_empty(text), do: if(is_binary(text), do: text, else: "")
 
   defp decode_box(
-         %{"bbox" => [x, y, w, h] = place, "image_id" => image} = json,
+         %{"bbox" => [x, y, w, h] = numbers, "image_id" => image} = json,
          {categories, times, schema}
        )
        when is_number(x) and is_number(y) and is_number(w) and is_number(h) do
@@ -244,7 +244,7 @@ defmodule Situ.Annotation.Exchange.Coco do
     values =
       more
       |> Map.merge(labelled)
-      |> Map.merge(Map.new(Enum.zip(@place, place)))
+      |> Map.merge(Map.new(Enum.zip(@box_keys, numbers)))
       |> Map.take(known)
 
     with {:ok, time} <- Map.fetch(times, image),

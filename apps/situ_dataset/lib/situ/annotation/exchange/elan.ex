@@ -210,14 +210,13 @@ defmodule Situ.Annotation.Exchange.Elan do
 
   # An annotation that refers to another one has its times; the other one may itself refer to a third.
   defp parse_rows(tiers, slots, origin) do
-    found = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, parse_annotations(tier)}
+    rows = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, parse_annotations(tier)}
 
-    parents =
-      for {_, all} <- found, {id, parent, _, _} <- all, parent, into: %{}, do: {id, parent}
+    parents = for {_, all} <- rows, {id, parent, _, _} <- all, parent, into: %{}, do: {id, parent}
 
-    aligned = for {_, all} <- found, {id, nil, refs, _} <- all, into: %{}, do: {id, refs}
+    aligned = for {_, all} <- rows, {id, nil, refs, _} <- all, into: %{}, do: {id, refs}
 
-    Enum.map_reduce(found, 0, fn {name, all}, missing ->
+    Enum.map_reduce(rows, 0, fn {name, all}, missing ->
       labels =
         for {id, _, _, text} <- all,
             {from, to} <- [aligned[root_annotation(id, parents, 0)]],

@@ -63,11 +63,11 @@ defmodule Situ.Annotation.Exchange.LabelRows do
 
   # The row's name ends with the attribute name; a row without one belongs to the track's first attribute.
   defp split_row_name(name, %Schema{attributes: [_, _ | _] = attributes}) do
-    found =
+    attribute =
       Enum.find(attributes, &(String.ends_with?(name, "." <> &1.name) and name != "." <> &1.name))
 
-    if found,
-      do: {String.replace_suffix(name, "." <> found.name, ""), found.name},
+    if attribute,
+      do: {String.replace_suffix(name, "." <> attribute.name, ""), attribute.name},
       else: {name, hd(attributes).name}
   end
 

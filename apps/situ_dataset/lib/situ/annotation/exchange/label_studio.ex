@@ -14,7 +14,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
 
   @impl true
   def encode(layer, opts) do
-    {proposed, given} = layer |> Layer.annotations() |> Enum.split_with(& &1.proposed?)
+    {proposals, statements} = layer |> Layer.annotations() |> Enum.split_with(& &1.proposed?)
 
     task = %{
       "data" => %{"audio" => opts[:media] || ""},
@@ -22,12 +22,12 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
         "situ" => %{"schema" => Schema.to_json(layer.schema), "origin" => opts[:origin]}
       },
       "annotations" =>
-        for {by, all} <- Enum.sort(Enum.group_by(given, & &1.by)) do
+        for {by, all} <- Enum.sort(Enum.group_by(statements, & &1.by)) do
           %{"result" => Enum.flat_map(all, &encode_results(&1, layer.schema, opts[:origin]))}
           |> Map.merge(if(by, do: %{"completed_by" => %{"email" => by}}, else: %{}))
         end,
       "predictions" =>
-        for {by, all} <- Enum.sort(Enum.group_by(proposed, & &1.by)) do
+        for {by, all} <- Enum.sort(Enum.group_by(proposals, & &1.by)) do
           %{
             "model_version" => by || "situ",
             "result" => Enum.flat_map(all, &encode_results(&1, layer.schema, opts[:origin]))
@@ -111,16 +111,16 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     schema = opts[:schema] || parse_schema(own["schema"])
     origin = opts[:origin] || if(is_integer(own["origin"]), do: own["origin"], else: 0)
 
-    given =
+    statements =
       for %{} = entry <- list_or_empty(task["annotations"]),
           do: {annotator_email(entry["completed_by"]), false, list_or_empty(entry["result"])}
 
-    proposed =
+    proposals =
       for %{} = entry <- list_or_empty(task["predictions"]),
           do: {model_name(entry["model_version"]), true, list_or_empty(entry["result"])}
 
     {annotations, bad} =
-      Enum.flat_map_reduce(given ++ proposed, 0, fn {by, proposed?, results}, bad ->
+      Enum.flat_map_reduce(statements ++ proposals, 0, fn {by, proposed?, results}, bad ->
         regions = results |> Enum.filter(&time_region?/1) |> Enum.group_by(& &1["id"])
         strange = length(results) - (regions |> Map.values() |> Enum.map(&length/1) |> Enum.sum())
 

@@ -253,19 +253,19 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   # Parses digits, because a float cannot represent the ninth decimal of an hour.
   defp parse_seconds(text) do
     case Regex.run(~r/\A(-?)(\d*)(?:\.(\d+))?\z/, text) do
-      [_, sign, whole] -> digits_to_ns(sign, whole, "")
-      [_, sign, whole, fraction] -> digits_to_ns(sign, whole, fraction)
+      [_, sign, seconds] -> digits_to_ns(sign, seconds, "")
+      [_, sign, seconds, fraction] -> digits_to_ns(sign, seconds, fraction)
       nil -> text |> Float.parse() |> elem(0) |> Kernel.*(@s) |> round()
     end
   end
 
-  defp digits_to_ns(sign, whole, fraction) do
-    whole = if whole == "", do: 0, else: String.to_integer(whole)
+  defp digits_to_ns(sign, seconds, fraction) do
+    seconds = if seconds == "", do: 0, else: String.to_integer(seconds)
 
     fraction =
       fraction |> String.slice(0, 9) |> String.pad_trailing(9, "0") |> String.to_integer()
 
-    ns = whole * @s + fraction
+    ns = seconds * @s + fraction
     if sign == "-", do: -ns, else: ns
   end
 end

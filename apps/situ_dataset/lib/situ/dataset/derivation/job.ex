@@ -78,7 +78,7 @@ defmodule Situ.Dataset.Derivation.Job do
 
   # These options do not refer to modules of this application, so that tasks may be in applications below it.
   defp call_compute(module, p, importer, exporter, job) when is_atom(module) do
-    given = [
+    session_opts = [
       pipeline: p,
       importer: importer,
       exporter: exporter,
@@ -96,7 +96,7 @@ defmodule Situ.Dataset.Derivation.Job do
       folder: session_folder(job.session.partitions)
     ]
 
-    module.build(p, given ++ job.options)
+    module.build(p, session_opts ++ job.options)
   end
 
   @doc "Gives the output its final name."

@@ -9,9 +9,9 @@ defmodule Situ.Dataset.Derivation.Progress do
 
   @doc false
   @spec new([{String.t(), pos_integer()}], [String.t()]) :: t()
-  def new(weights, kept) do
+  def new(weights, names) do
     progress = %__MODULE__{weights: Map.new(weights), total: length(weights)}
-    Enum.reduce(kept, progress, &finish_session(&2, &1))
+    Enum.reduce(names, progress, &finish_session(&2, &1))
   end
 
   @doc false

@@ -25,12 +25,12 @@ defmodule Situ.Dataset.Task.DropStreams do
   def build(_p, opts) do
     patterns = Enum.map(opts[:drop], &compile_pattern/1)
 
-    kept =
+    streams =
       Enum.reject(opts[:streams], fn {_, info} -> Enum.any?(patterns, &(info.name =~ &1)) end)
 
-    names = for {_, info} <- kept, do: info.name
+    names = for {_, info} <- streams, do: info.name
 
-    for {partition, info} <- kept do
+    for {partition, info} <- streams do
       # A name that occurs in several partitions is qualified with the partition.
       name =
         if Enum.count(names, &(&1 == info.name)) > 1,

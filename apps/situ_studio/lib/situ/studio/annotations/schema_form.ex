@@ -47,13 +47,13 @@ defmodule Situ.Studio.Annotations.SchemaForm do
   @spec update_from_params([attribute()], map()) :: [attribute()]
   def update_from_params(draft, params) do
     for {attribute, i} <- Enum.with_index(draft) do
-      given = nested_params(params, i)
-      values = nested_params(given, "values")
+      fields = nested_params(params, i)
+      values = nested_params(fields, "values")
 
       %{
         attribute
-        | name: text_param(given["name"], attribute.name),
-          kind: if(given["kind"] in @kinds, do: given["kind"], else: attribute.kind),
+        | name: text_param(fields["name"], attribute.name),
+          kind: if(fields["kind"] in @kinds, do: fields["kind"], else: attribute.kind),
           values:
             for(
               {v, k} <- Enum.with_index(attribute.values),
@@ -63,12 +63,12 @@ defmodule Situ.Studio.Annotations.SchemaForm do
     end
   end
 
-  defp update_value(value, given) do
+  defp update_value(value, fields) do
     %{
       value
-      | value: text_param(given["value"], value.value),
-        key: given["key"] |> text_param(value.key) |> String.slice(0, 1),
-        fill: text_param(given["fill"], value.fill)
+      | value: text_param(fields["value"], value.value),
+        key: fields["key"] |> text_param(value.key) |> String.slice(0, 1),
+        fill: text_param(fields["fill"], value.fill)
     }
   end
 
@@ -79,8 +79,8 @@ defmodule Situ.Studio.Annotations.SchemaForm do
     end
   end
 
-  defp text_param(given, old),
-    do: if(is_binary(given), do: String.slice(given, 0, 100), else: old)
+  defp text_param(fields, old),
+    do: if(is_binary(fields), do: String.slice(fields, 0, 100), else: old)
 
   @doc "Adds an empty attribute, or an empty value to the attribute at `index`."
   @spec add_entry([attribute()], :attribute | non_neg_integer()) :: [attribute()]

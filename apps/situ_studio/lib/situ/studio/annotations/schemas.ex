@@ -43,7 +43,7 @@ defmodule Situ.Studio.Annotations.Schemas do
   @spec save_schema(Path.t(), Schema.t()) :: :ok | {:error, Error.t()}
   def save_schema(layouts, %Schema{name: name} = schema) do
     path =
-      Enum.find_value(load_all(layouts), fn {path, kept} -> if kept.name == name, do: path end) ||
+      Enum.find_value(load_all(layouts), fn {path, schema} -> if schema.name == name, do: path end) ||
         Path.join(schema_folder(layouts), URI.encode(name, &URI.char_unreserved?/1) <> ".json")
 
     case File.mkdir_p(schema_folder(layouts)) do

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Datasets.FolderImport do
   alias Situ.Studio.Catalog.Item
 
   @typedoc "The number of items added and the names of the skipped ones."
-  @type told :: {added :: non_neg_integer(), skipped :: [String.t()]}
+  @type result :: {added :: non_neg_integer(), skipped :: [String.t()]}
 
   @doc """
   Lists the folders that contain recordings of a studio, at any depth, with their names in addresses.
@@ -23,9 +23,9 @@ defmodule Situ.Studio.Datasets.FolderImport do
     for(
       %{kind: :store, id: id, path: path} <- items,
       String.ends_with?(path, "/" <> id),
-      {folder, _} = found <- parent_folders(Path.dirname(id), Path.dirname(path)),
+      {folder, _} = pair <- parent_folders(Path.dirname(id), Path.dirname(path)),
       uniq: true,
-      do: if(folder == "", do: {".", elem(found, 1)}, else: found)
+      do: if(folder == "", do: {".", elem(pair, 1)}, else: pair)
     )
     |> Enum.sort()
   end
@@ -37,35 +37,35 @@ defmodule Situ.Studio.Datasets.FolderImport do
 
   @doc "Adds each folder in `folder`, and each recording directly in it, as a session."
   @spec add_sessions(Dataset.t(), Path.t()) ::
-          {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
+          {:ok, Dataset.t(), result()} | {:error, Situ.Error.t()}
   def add_sessions(dataset, folder) do
-    with {:ok, found} <- Dataset.open(folder), do: append_sessions(dataset, found.sessions)
+    with {:ok, source} <- Dataset.open(folder), do: append_sessions(dataset, source.sessions)
   end
 
   @doc "Adds all recordings in and below `folder` as one session named after the folder."
   @spec add_session(Dataset.t(), Path.t()) ::
-          {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
+          {:ok, Dataset.t(), result()} | {:error, Situ.Error.t()}
   def add_session(dataset, folder) do
-    with {:ok, found} <- Dataset.open(folder) do
+    with {:ok, source} <- Dataset.open(folder) do
       name = NameRules.make_unique(Path.basename(folder), Enum.map(dataset.sessions, & &1.name))
-      {session, told} = fill_session(Session.new(name), found, recording_paths(dataset))
+      {session, result} = fill_session(Session.new(name), source, recording_paths(dataset))
 
-      if elem(told, 0) == 0,
-        do: {:ok, dataset, told},
-        else: append_sessions(dataset, [session], told)
+      if elem(result, 0) == 0,
+        do: {:ok, dataset, result},
+        else: append_sessions(dataset, [session], result)
     end
   end
 
   @doc "Adds all recordings in and below `folder` to a session."
   @spec add_recordings(Dataset.t(), String.t(), Path.t()) ::
-          {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
+          {:ok, Dataset.t(), result()} | {:error, Situ.Error.t()}
   def add_recordings(dataset, name, folder) do
-    with {:ok, found} <- Dataset.open(folder),
+    with {:ok, source} <- Dataset.open(folder),
          {:ok, session} <- Dataset.session(dataset, name),
          taken = MapSet.new(session.partitions, & &1.path),
-         {session, told} = fill_session(session, found, taken),
+         {session, result} = fill_session(session, source, taken),
          {:ok, dataset} <- Dataset.update_session(dataset, name, fn _ -> {:ok, session} end),
-         do: {:ok, dataset, told}
+         do: {:ok, dataset, result}
   end
 
   defp append_sessions(dataset, sessions), do: append_sessions(dataset, sessions, {0, []})
@@ -73,17 +73,17 @@ defmodule Situ.Studio.Datasets.FolderImport do
   # Adding all sessions in one edit saves the dataset only once.
   defp append_sessions(dataset, sessions, {_, skipped}) do
     names = MapSet.new(dataset.sessions, & &1.name)
-    {there, new} = Enum.split_with(sessions, &(&1.name in names))
+    {present, new} = Enum.split_with(sessions, &(&1.name in names))
 
     with {:ok, dataset} <- Dataset.append_sessions(dataset, %Dataset{sessions: new}),
-         do: {:ok, dataset, {length(new), skipped ++ Enum.map(there, & &1.name)}}
+         do: {:ok, dataset, {length(new), skipped ++ Enum.map(present, & &1.name)}}
   end
 
-  defp fill_session(session, %Dataset{sessions: found}, taken) do
-    partitions = Enum.flat_map(found, & &1.partitions)
-    {there, new} = Enum.split_with(partitions, &(&1.path in taken))
+  defp fill_session(session, %Dataset{sessions: sessions}, taken) do
+    partitions = Enum.flat_map(sessions, & &1.partitions)
+    {present, new} = Enum.split_with(partitions, &(&1.path in taken))
     session = Enum.reduce(new, session, &put_partition/2)
-    {session, {length(new), Enum.map(there, & &1.name)}}
+    {session, {length(new), Enum.map(present, & &1.name)}}
   end
 
   defp put_partition(%Partition{} = partition, session) do
@@ -103,7 +103,7 @@ defmodule Situ.Studio.Datasets.FolderImport do
       iex> Situ.Studio.Datasets.FolderImport.describe_result({1, []}, "recording")
       "1 recording added"
   """
-  @spec describe_result(told(), String.t()) :: String.t()
+  @spec describe_result(result(), String.t()) :: String.t()
   def describe_result({added, skipped}, noun) do
     "#{added} #{noun}#{if added != 1, do: "s"} added" <>
       case Enum.split(skipped, 5) do

@@ -83,8 +83,8 @@ defmodule Situ.Studio.Draw.Segments do
   last segment ends; without one the last segment is open. Strings are states, which hold, unless `texts?` is set:
   then they are utterances, and the same text twice is two segments.
 
-      iex> said = [{0, true}, {1, true}, {2, false}]
-      iex> messages = for {t, v} <- said, do: {t, %Situ.Message{data: v, originating_time: t}}
+      iex> states = [{0, true}, {1, true}, {2, false}]
+      iex> messages = for {t, v} <- states, do: {t, %Situ.Message{data: v, originating_time: t}}
       iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 9)
       [{0, 2, "true", "true", ""}, {2, nil, "false", "false", ""}]
 

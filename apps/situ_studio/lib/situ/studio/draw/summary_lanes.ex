@@ -7,7 +7,7 @@ defmodule Situ.Studio.Draw.SummaryLanes do
   # The lane of a key ends in the first bin whose messages do not have it.
   alias Situ.Studio.Draw.{Key, Segments}
 
-  @told 3
+  @max_states 3
 
   @doc """
   Returns the segments of all state tracks, lane by lane. The last of each ends at `later`, or is
@@ -101,8 +101,12 @@ defmodule Situ.Studio.Draw.SummaryLanes do
 
   defp format_counts(counts) do
     sorted = Enum.sort_by(counts, fn {state, n} -> {-n, Segments.value_label(state)} end)
-    told = for {state, n} <- Enum.take(sorted, @told), do: "#{n} #{Segments.value_label(state)}"
-    more = if length(sorted) > @told, do: ["..."], else: []
-    "#{sorted |> Enum.map(&elem(&1, 1)) |> Enum.sum()} messages: #{Enum.join(told ++ more, ", ")}"
+
+    counts =
+      for {state, n} <- Enum.take(sorted, @max_states), do: "#{n} #{Segments.value_label(state)}"
+
+    more = if length(sorted) > @max_states, do: ["..."], else: []
+
+    "#{sorted |> Enum.map(&elem(&1, 1)) |> Enum.sum()} messages: #{Enum.join(counts ++ more, ", ")}"
   end
 end

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   # A rate cannot be determined from so few messages, because there may be gaps between them. Then this many are read on
   # both sides.
   @few 32
-  @beside 16
+  @neighbours 16
 
   @scan 200_000
   @sample 1_500
@@ -74,7 +74,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
         ) ::
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
   def surrounding_messages(source, stream, {from, to}, n) do
-    most = if n < @few, do: @beside, else: 1
+    most = if n < @few, do: @neighbours, else: 1
     before = StreamReader.list_neighbours(source, stream, :before, from, most)
     {Enum.reverse(before), StreamReader.list_neighbours(source, stream, :after, to, most)}
   end

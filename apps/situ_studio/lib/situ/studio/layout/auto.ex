@@ -69,7 +69,7 @@ defmodule Situ.Studio.Layout.Auto do
     cond do
       cells == [] or timelines == [] -> layout
       Enum.any?(cells, wide?) -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
-      length(timelines) >= @many -> %{layout | beside: true}
+      length(timelines) >= @many -> %{layout | cell_column: true}
       true -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
     end
   end

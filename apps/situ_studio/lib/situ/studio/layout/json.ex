@@ -19,7 +19,7 @@ defmodule Situ.Studio.Layout.Json do
       "panels" => Enum.map(layout.rows, &panel_json/1)
     }
 
-    doc = if layout.beside, do: Map.put(doc, "beside", true), else: doc
+    doc = if layout.cell_column, do: Map.put(doc, "beside", true), else: doc
     doc |> put_present("compared", compared_json(layout.compared)) |> Situ.JSON.encode_pretty()
   end
 
@@ -56,7 +56,7 @@ defmodule Situ.Studio.Layout.Json do
                {:ok,
                 %{
                   layout
-                  | beside: doc["beside"] == true,
+                  | cell_column: doc["beside"] == true,
                     compared: parse_compared(doc["compared"])
                 }}
 

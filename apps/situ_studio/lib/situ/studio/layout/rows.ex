@@ -4,7 +4,7 @@ defmodule Situ.Studio.Layout.Rows do
   alias Situ.Error
   alias Situ.Studio.Layout.Panel
 
-  @type place ::
+  @type target ::
           {:above | :below, row_id :: String.t()} | {:left | :right, panel_id :: String.t()}
   @type placed :: {:ok, [Panel.t()]} | {:error, Error.t()}
 
@@ -55,7 +55,7 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  @spec place_panel([Panel.t()], String.t(), place()) :: placed()
+  @spec place_panel([Panel.t()], String.t(), target()) :: placed()
   def place_panel(panels, id, {side, target}) when side in [:above, :below] do
     {taken, rest} = Enum.split_with(panels, &(&1.id == id))
     lines = group_rows(rest)

@@ -96,9 +96,9 @@ defmodule Situ.Studio.PipelineView.History do
   defp limit_size(table, rows) do
     rows
     |> Enum.reverse()
-    |> Enum.reduce(0, fn {title, n, bytes}, held ->
-      if held + bytes > @max_bytes, do: :ets.delete(table, {title, n})
-      held + bytes
+    |> Enum.reduce(0, fn {title, n, bytes}, total ->
+      if total + bytes > @max_bytes, do: :ets.delete(table, {title, n})
+      total + bytes
     end)
   end
 end

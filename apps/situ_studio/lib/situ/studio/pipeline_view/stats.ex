@@ -167,8 +167,8 @@ defmodule Situ.Studio.PipelineView.Stats do
   defp per_second(_, seconds) when seconds <= 0, do: 0.0
   defp per_second(n, seconds), do: max(n, 0) / seconds
 
-  defp percent_share(_, whole) when whole <= 0, do: 0.0
-  defp percent_share(part, whole), do: min(100.0, max(part, 0) * 100 / whole)
+  defp percent_share(_, total) when total <= 0, do: 0.0
+  defp percent_share(part, total), do: min(100.0, max(part, 0) * 100 / total)
 
   @doc "Combines the statistics of several edges (or nodes) that are drawn as one."
   @spec merge_values([values()]) :: values()

@@ -208,10 +208,10 @@ defmodule Situ.Studio.Plugins.Manifest do
            key =~ @key || "option names consist of lowercase letters and _, not #{inspect(key)}",
          {:ok, type, default} <- parse_option_type(type, doc) do
       # A plug-in, which the user has installed, creates at most 40 atoms here.
-      given = [type: type, title: title_or_default(doc, key)]
+      option = [type: type, title: title_or_default(doc, key)]
 
       {:ok,
-       {String.to_atom(key), if(default == nil, do: given, else: given ++ [default: default])}}
+       {String.to_atom(key), if(default == nil, do: option, else: option ++ [default: default])}}
     else
       what -> "option #{inspect(key)}: #{what}"
     end

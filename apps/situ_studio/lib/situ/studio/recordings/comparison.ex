@@ -148,7 +148,7 @@ defmodule Situ.Studio.Recordings.Comparison do
   defp shift_data(%Interval{left: left, right: right} = interval, offset),
     do: %{interval | left: shift_bound(left, offset), right: shift_bound(right, offset)}
 
-  defp shift_data(%Gap{} = hole, _offset), do: hole
+  defp shift_data(%Gap{} = gap, _offset), do: gap
 
   defp shift_data([head | tail], offset),
     do: [shift_data(head, offset) | shift_data(tail, offset)]

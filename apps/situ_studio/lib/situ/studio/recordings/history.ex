@@ -44,7 +44,7 @@ defmodule Situ.Studio.Recordings.History do
 
   defp build_info(row) do
     info = empty_info(row.name)
-    extra = Map.put(info.extra, :kept, row.kept)
+    extra = Map.put(info.extra, :stored, row.stored)
     figures = %{type: row.type, count: row.count, first: row.first, last: row.last}
     Map.merge(%{info | size: row.total, extra: extra}, figures)
   end

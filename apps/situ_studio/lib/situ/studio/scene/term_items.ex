@@ -149,19 +149,19 @@ defmodule Situ.Studio.Scene.TermItems do
        when picture in @pictures,
        do: add_result(acc, Surfaces.image_item(viewed, Rectangle3.corner_points(r)))
 
-  defp collect_term({text, %shape{} = place}, _, {_, %{text: height}} = acc, _)
+  defp collect_term({text, %shape{} = position}, _, {_, %{text: height}} = acc, _)
        when is_binary(text) and shape in [Pose, Rectangle3] and is_number(height),
        do:
          update_gathered(
            acc,
-           &ItemCollector.add_item(&1, Surfaces.text_item(text, place, height))
+           &ItemCollector.add_item(&1, Surfaces.text_item(text, position, height))
          )
 
-  defp collect_term({text, place}, _, acc, n) when is_binary(text),
-    do: collect_term(place, text, acc, n + 1)
+  defp collect_term({text, position}, _, acc, n) when is_binary(text),
+    do: collect_term(position, text, acc, n + 1)
 
-  defp collect_term({place, text}, _, acc, n) when is_binary(text) and not is_binary(place),
-    do: collect_term(place, text, acc, n + 1)
+  defp collect_term({position, text}, _, acc, n) when is_binary(text) and not is_binary(position),
+    do: collect_term(position, text, acc, n + 1)
 
   defp collect_term(%Point3{x: x, y: y, z: z}, label, acc, _),
     do: update_gathered(acc, &ItemCollector.add_node(&1, {x, y, z}, label))

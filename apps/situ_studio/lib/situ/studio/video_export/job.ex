@@ -85,7 +85,8 @@ defmodule Situ.Studio.VideoExport.Job do
 
   def handle_info(_, state), do: {:noreply, state}
 
-  defp notify_page(%{args: %{page: page, key: key}}, told), do: send(page, {:film, key, told})
+  defp notify_page(%{args: %{page: page, key: key}}, progress),
+    do: send(page, {:film, key, progress})
 
   # The encoder is linked to the task and ends with it.
   @impl true

@@ -67,12 +67,12 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   @impl true
   def instant(channel, data, message) do
     case GeoPoint.from_data(data) do
-      {:ok, place} ->
+      {:ok, position} ->
         Frame.json(channel, message.originating_time, %{
-          "latitude" => place.latitude,
-          "longitude" => place.longitude,
-          "height" => place.height,
-          "accuracy" => GeoPoint.horizontal_accuracy(place)
+          "latitude" => position.latitude,
+          "longitude" => position.longitude,
+          "height" => position.height,
+          "accuracy" => GeoPoint.horizontal_accuracy(position)
         })
 
       :error ->

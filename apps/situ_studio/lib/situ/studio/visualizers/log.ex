@@ -30,12 +30,12 @@ defmodule Situ.Studio.Visualizers.Log do
   """
   @spec build_row(Message.t(), ValuePath.t()) :: [String.t()]
   def build_row(message, path) do
-    said =
+    text =
       case ValuePath.fetch(message.data, path) do
         {:ok, value} -> Segments.value_label(value)
         :error -> ""
       end
 
-    [Integer.to_string(message.originating_time), said]
+    [Integer.to_string(message.originating_time), text]
   end
 end

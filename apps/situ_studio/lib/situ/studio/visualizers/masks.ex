@@ -22,7 +22,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   ]
 
   @typedoc "An image of class numbers, or objects with their boxes."
-  @type found :: {:classes, Image.t()} | {:objects, [{Rect.t(), Image.t()}]}
+  @type result :: {:classes, Image.t()} | {:objects, [{Rect.t(), Image.t()}]}
 
   @impl true
   def about do
@@ -46,13 +46,13 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   @impl true
   def instant(channel, data, message, %{source: source, spec: %{stream: stream}}) do
-    with {:ok, found} <- fetch_masks(data, source, stream, message.originating_time),
-         do: Frame.json(channel, message.originating_time, masks_json(found))
+    with {:ok, masks} <- fetch_masks(data, source, stream, message.originating_time),
+         do: Frame.json(channel, message.originating_time, masks_json(masks))
   end
 
   @doc "Fetches the classes in a message's data, or the objects with their boxes, or the reason why there are none."
   @spec fetch_masks(term(), Situ.Recording.t(), String.t(), Situ.Time.t()) ::
-          {:ok, found()} | {:error, String.t()}
+          {:ok, result()} | {:error, String.t()}
   def fetch_masks(%Image{} = image, _source, _stream, _time) do
     with {:ok, image} <- validate_gray(image), do: {:ok, {:classes, image}}
   end

@@ -92,8 +92,8 @@ defmodule Situ.Studio.Visualizers.Space do
         {:error, what}
 
       {items, problems} ->
-        {items, kept} = Scene.cache_meshes(items, context[:kept])
-        {:kept, Frame.scene(channel, message.originating_time, items, problems), kept}
+        {items, cache} = Scene.cache_meshes(items, context[:cache])
+        {:cache, Frame.scene(channel, message.originating_time, items, problems), cache}
     end
   end
 

@@ -35,12 +35,12 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       # Positions are multiples of the step, so that a view that moves has the same segments.
       first = Integer.floor_div(from, step) * step
 
-      pieces =
+      chunks =
         for t <- first..to//step,
-            piece = read_segment(source, {stream, one}, t, length),
-            do: {t, piece}
+            samples = read_segment(source, {stream, one}, t, length),
+            do: {t, samples}
 
-      Frame.audio_chunks(channel, pieces, rate)
+      Frame.audio_chunks(channel, chunks, rate)
     end
   end
 

@@ -14,12 +14,13 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   @impl true
   def about do
-    heard = [
+    audio_options = [
       solo: [type: :boolean, title: "Play this channel only", default: false],
       mute: [type: :boolean, title: "Mute", default: false]
     ]
 
-    options = SharedOptions.visible() ++ SharedOptions.color() ++ SharedOptions.channel() ++ heard
+    options =
+      SharedOptions.visible() ++ SharedOptions.color() ++ SharedOptions.channel() ++ audio_options
 
     %Visualizer{
       id: "waveform",

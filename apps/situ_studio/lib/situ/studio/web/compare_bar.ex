@@ -24,8 +24,8 @@ defmodule Situ.Studio.Web.CompareBar do
   def handle_event("compare_with", %{"with" => other}, %{assigns: assigns} = socket) do
     case Comparison.open_item(assigns.studio, assigns.id, %{"with" => other}) do
       {:ok, _item, _source, %Comparison{} = compared} ->
-        told = %{with: other, offset: Integer.to_string(compared.offset)}
-        {:noreply, socket |> assign(dialog: nil) |> push_event("compare_go", told)}
+        params = %{with: other, offset: Integer.to_string(compared.offset)}
+        {:noreply, socket |> assign(dialog: nil) |> push_event("compare_go", params)}
 
       {:ok, _item, _source, nil} ->
         {:noreply, socket}

@@ -163,10 +163,10 @@ defmodule Situ.Studio.Web.DatasetView do
 
   # Besides changed assigns, an edit may return a message to show or an address to go to.
   defp apply_changes(socket, changes) do
-    {said, changes} = Keyword.pop(changes, :said)
+    {toast, changes} = Keyword.pop(changes, :toast)
     {go, changes} = Keyword.pop(changes, :go)
     socket = socket |> assign(changes) |> refresh_facts()
-    socket = if said, do: show_toast(socket, said), else: socket
+    socket = if toast, do: show_toast(socket, toast), else: socket
     if go, do: push_event(socket, "go", %{href: go}), else: socket
   end
 

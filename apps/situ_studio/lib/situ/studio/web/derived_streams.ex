@@ -54,8 +54,8 @@ defmodule Situ.Studio.Web.DerivedStreams do
   def derive_members(socket, stream, load) do
     case add_members(socket, stream) do
       {:ok, n, socket} ->
-        said = if n == 1, do: "1 derived stream", else: "#{n} derived streams"
-        socket |> load.() |> push_event("toast", %{text: said <> " added at the top of the tree"})
+        text = if n == 1, do: "1 derived stream", else: "#{n} derived streams"
+        socket |> load.() |> push_event("toast", %{text: text <> " added at the top of the tree"})
 
       {:error, error} ->
         push_event(socket, "toast", %{text: Exception.message(error)})

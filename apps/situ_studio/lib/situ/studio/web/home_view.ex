@@ -137,7 +137,7 @@ defmodule Situ.Studio.Web.HomeView do
         <a :for={item <- @found} :key={row_id(item)} id={row_id(item)} class="item" href={Paths.item_path(item)}>
           <.item_thumbnail item={item} facts={@facts[item.id]} />
           <span><b>{item.title}</b><span class="dim"><span
-            :for={said <- describe_item(item, @facts[item.id])}>{said}</span></span></span>
+            :for={fact <- describe_item(item, @facts[item.id])}>{fact}</span></span></span>
           <span><.item_badges item={item} facts={@facts[item.id]}
             alerts={if item.kind == :pipeline, do: Alerts.count_active(@studio, item.id), else: 0} /></span></a>
       </div>

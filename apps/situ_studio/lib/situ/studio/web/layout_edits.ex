@@ -200,15 +200,15 @@ defmodule Situ.Studio.Web.LayoutEdits do
   end
 
   # Only the field that changed is updated. Browsers omit unchecked boxes, so a missing boolean means false.
-  defp put_option({key, option}, props, given, params, entry) do
+  defp put_option({key, option}, props, fields, params, entry) do
     name = Atom.to_string(key)
 
     cond do
       params["_target"] not in [nil, ["props", name]] -> props
-      option[:type] == :boolean -> Map.put(props, name, given[name] == "true")
-      not is_binary(given[name]) -> props
-      given[name] == "" -> Map.delete(props, name)
-      true -> put_cast_value(props, name, given[name], entry)
+      option[:type] == :boolean -> Map.put(props, name, fields[name] == "true")
+      not is_binary(fields[name]) -> props
+      fields[name] == "" -> Map.delete(props, name)
+      true -> put_cast_value(props, name, fields[name], entry)
     end
   end
 

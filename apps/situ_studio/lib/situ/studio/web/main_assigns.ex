@@ -37,7 +37,7 @@ defmodule Situ.Studio.Web.MainAssigns do
 
   # Returns the changed layout for the page's address, or "" if it is the same as the saved one.
   defp encode_edit(layout, saved) do
-    if {layout.rows, layout.beside} == {saved.rows, saved.beside},
+    if {layout.rows, layout.cell_column} == {saved.rows, saved.cell_column},
       do: "",
       else: Link.encode(layout)
   end

@@ -281,11 +281,11 @@ defmodule Situ.Studio.Web.MainView do
   def handle_info({:statistics, rows}, socket),
     do: {:noreply, push_event(socket, "statistics", %{rows: rows})}
 
-  def handle_info({:film, key, told}, socket),
-    do: {:noreply, VideoExportBox.update_progress(socket, key, told)}
+  def handle_info({:film, key, progress}, socket),
+    do: {:noreply, VideoExportBox.update_progress(socket, key, progress)}
 
-  def handle_info({:together, told}, socket),
-    do: {:noreply, SharedCursors.push_view(socket, told)}
+  def handle_info({:together, view}, socket),
+    do: {:noreply, SharedCursors.push_view(socket, view)}
 
   def handle_info({:proposed, result}, socket),
     do: {:noreply, AnnotationPanel.report_proposals(socket, result)}

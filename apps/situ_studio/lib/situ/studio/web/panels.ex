@@ -22,7 +22,9 @@ defmodule Situ.Studio.Web.Panels do
     {cells, times} = assigns.layout |> Layout.panel_lines() |> Enum.split_with(&hd(&1).row)
 
     {side, main} =
-      if assigns.layout.beside, do: {cells, times}, else: {[], Layout.panel_lines(assigns.layout)}
+      if assigns.layout.cell_column,
+        do: {cells, times},
+        else: {[], Layout.panel_lines(assigns.layout)}
 
     assigns = assign(assigns, side: side, main: main, max: maximised_id(assigns))
 

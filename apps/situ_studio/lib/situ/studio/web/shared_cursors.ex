@@ -21,11 +21,11 @@ defmodule Situ.Studio.Web.SharedCursors do
   @doc "Sends this page's view to the other pages; an invalid view is dropped."
   @spec broadcast_view(Socket.t(), map()) :: Socket.t()
   def broadcast_view(%{assigns: assigns} = socket, params) do
-    with {:ok, told} <- parse_view(params) do
+    with {:ok, view} <- parse_view(params) do
       page = self()
 
       Registry.dispatch(@registry, peer_key(assigns), fn pages ->
-        for {pid, _} <- pages, pid != page, do: send(pid, {:together, told})
+        for {pid, _} <- pages, pid != page, do: send(pid, {:together, view})
       end)
     end
 
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Web.SharedCursors do
 
   @doc "Pushes the view of another page to this page's script."
   @spec push_view(Socket.t(), map()) :: Socket.t()
-  def push_view(socket, told), do: push_event(socket, "together", told)
+  def push_view(socket, view), do: push_event(socket, "together", view)
 
   # Expects who, name, cursor, view and live as the page sends them; times are integer nanoseconds as strings.
   defp parse_view(

@@ -56,7 +56,7 @@ defmodule Situ.Studio.Web.StreamFacts do
   defp printable_name(name), do: if(String.valid?(name), do: name, else: inspect(name))
 
   @doc "Returns the visualizers of each shape as JSON, for the page's menus."
-  @spec encode_visualizers([Visualizer.given()]) :: String.t()
+  @spec encode_visualizers([Visualizer.definition()]) :: String.t()
   def encode_visualizers(extra) do
     StreamInfo.list_shapes()
     |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title, v.panel])})

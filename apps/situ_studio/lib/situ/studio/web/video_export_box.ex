@@ -41,7 +41,7 @@ defmodule Situ.Studio.Web.VideoExportBox do
   defp start_job(%{assigns: assigns} = socket, film) do
     with %{key: key} <- assigns.film, do: Job.cancel(assigns.studio, key)
     {:ok, key} = Job.start_job(assigns.studio, film, assigns.source)
-    assign(socket, film: %{key: key, of: film, told: {:progress, 0.0}})
+    assign(socket, film: %{key: key, of: film, progress: {:progress, 0.0}})
   end
 
   # Combines the panel's image stream, its visible overlays, and an audio stream of the page.
@@ -86,8 +86,8 @@ defmodule Situ.Studio.Web.VideoExportBox do
 
   @doc "Updates the progress of the page's video; reports about other videos are ignored."
   @spec update_progress(Socket.t(), String.t(), term()) :: Socket.t()
-  def update_progress(%{assigns: %{film: %{key: key} = film}} = socket, key, told),
-    do: assign(socket, film: %{film | told: told})
+  def update_progress(%{assigns: %{film: %{key: key} = film}} = socket, key, progress),
+    do: assign(socket, film: %{film | progress: progress})
 
   def update_progress(socket, _key, _told), do: socket
 
@@ -99,9 +99,9 @@ defmodule Situ.Studio.Web.VideoExportBox do
       assign(assigns,
         length: Situ.Time.format_duration(film.of.to - film.of.from),
         with: content_text(film.of),
-        done: percent_done(film.told),
-        size: size_mb(film.told),
-        error: error_text(film.told)
+        done: percent_done(film.progress),
+        size: size_mb(film.progress),
+        error: error_text(film.progress)
       )
 
     ~H"""

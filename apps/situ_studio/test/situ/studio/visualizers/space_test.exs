@@ -14,28 +14,28 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
 
   defp items(data, context) do
     message = %Situ.Message{originating_time: 5, data: data}
-    {:kept, frame, kept} = Space.instant(1, data, message, context)
+    {:cache, frame, cache} = Space.instant(1, data, message, context)
     bytes = IO.iodata_to_binary(frame)
     {at, _} = :binary.match(bytes, [~s({"items"), ~s({"problems")])
     <<size::little-32>> = binary_part(bytes, at - 8, 4)
     {:ok, %{"items" => items}} = Situ.JSON.decode(binary_part(bytes, at, size))
-    {items, byte_size(bytes), kept}
+    {items, byte_size(bytes), cache}
   end
 
   test "sends a moving mesh once, and its position each time" do
-    context = &%{source: nil, spec: spec(), kept: &1}
-    {[first], whole, kept} = items(@mesh, context.(%{}))
+    context = &%{source: nil, spec: spec(), cache: &1}
+    {[first], whole, cache} = items(@mesh, context.(%{}))
     assert %{"keep" => name, "at" => %{"position" => [_, 3600]}} = first
 
     moved = Mesh.transform(@mesh, Pose.new({1.0, 2.0, 3.0}))
-    {[again], less, ^kept} = items(moved, context.(kept))
+    {[again], less, ^cache} = items(moved, context.(cache))
     assert %{"held" => ^name, "at" => at, "count" => 100} = again
     assert at == %{} and Enum.slice(again["matrix"], 12, 3) == [1.0, 2.0, 3.0]
     assert less < whole - 4_000
 
     other = %{@mesh | indices: :binary.copy(<<1::little-96>>, 100)}
-    {[%{"keep" => another}], _, kept} = items(other, context.(kept))
-    assert another != name and map_size(kept) == 2
+    {[%{"keep" => another}], _, cache} = items(other, context.(cache))
+    assert another != name and map_size(cache) == 2
   end
 
   test "a channel remembers the sent meshes, also after a gap" do
@@ -70,7 +70,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
 
   test "sends the entire mesh if the page has no room to keep it" do
     full = %{"other" => 67_108_864}
-    assert {[item], _, ^full} = items(@mesh, %{source: nil, spec: spec(), kept: full})
+    assert {[item], _, ^full} = items(@mesh, %{source: nil, spec: spec(), cache: full})
     refute Map.has_key?(item, "keep") or Map.has_key?(item, "held")
   end
 
@@ -79,20 +79,20 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     data = %{cloud: cloud, mesh: @mesh}
 
     {[rough, _mesh], _, _} =
-      items(data, %{source: nil, spec: spec(%{"budget" => "100000"}), kept: %{}})
+      items(data, %{source: nil, spec: spec(%{"budget" => "100000"}), cache: %{}})
 
     assert %{"count" => 100_000, "of" => 300_000} = rough
 
     # The planes select 1 m to 2 m.
     planes = [1, 0, 0, -1.0005, -1, 0, 0, 2.0005]
     props = %{"budget" => "100000", "within" => planes}
-    assert {[near], _, _} = items(data, %{source: nil, spec: spec(props), kept: %{}})
+    assert {[near], _, _} = items(data, %{source: nil, spec: spec(props), cache: %{}})
     assert %{"kind" => "points", "count" => 1_000, "of" => 1_000} = near
 
     # Invalid planes are ignored.
     for bad <- [[1, 2, 3], ["x", 0, 0, 0], "all", List.duplicate(0, 400), [1.0e300, 0, 0, 0]] do
       props = %{"budget" => "100000", "within" => bad}
-      {items, _, _} = items(data, %{source: nil, spec: spec(props), kept: %{}})
+      {items, _, _} = items(data, %{source: nil, spec: spec(props), cache: %{}})
       assert length(items) == 2
     end
   end

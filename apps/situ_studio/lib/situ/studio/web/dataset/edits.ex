@@ -110,19 +110,19 @@ defmodule Situ.Studio.Web.Dataset.Edits do
       ) do
     with {_, folder} <- List.keyfind(folders, id, 0) do
       noun = if what == "recordings", do: "recording", else: "session"
-      told = make_ref()
+      ref = make_ref()
       page = self()
 
       add = fn dataset ->
-        with {:ok, dataset, found} <- add_folder(what, dataset, path, folder) do
-          send(page, {told, found})
+        with {:ok, dataset, result} <- add_folder(what, dataset, path, folder) do
+          send(page, {ref, result})
           {:ok, dataset}
         end
       end
 
       with {:ok, changes} <- edit_dataset(assigns, add) do
         receive do
-          {^told, found} -> {:ok, changes ++ [said: FolderImport.describe_result(found, noun)]}
+          {^ref, result} -> {:ok, changes ++ [toast: FolderImport.describe_result(result, noun)]}
         after
           0 -> {:ok, changes}
         end
