@@ -50,7 +50,8 @@ defmodule Situ.Ports.DemandWindow do
 
       bytes ->
         size = div(@budget, max(bytes, 1)) |> max(@least) |> min(@default)
-        # Growth of the window is owed at once; shrinkage is taken off later demand.
+
+        # When the window grows, demand is sent immediately; when it shrinks, later demand is reduced.
         owed = window.owed + size - window.size
         %{window | size: size, owed: owed, unweighed: div(size, 2)}
     end

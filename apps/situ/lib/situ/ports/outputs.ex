@@ -157,7 +157,7 @@ defmodule Situ.Ports.Outputs do
   def release_due(%__MODULE__{} = outputs, now),
     do: map_outputs(outputs, &PostingRules.release_due(&1, now))
 
-  @doc "Adds demand of one subscriber; `:error` if there is no such subscriber."
+  @doc "Adds demand of one subscriber; `:error` if the subscriber is unknown."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
   def add_demand(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
     with {:ok, output} <- Output.add_demand(output, from, n),

@@ -63,7 +63,7 @@ defmodule Situ.Stage.ActionRunner do
 
   defp put(state, output), do: %{state | outputs: Outputs.put(state.outputs, output)}
 
-  # An infinite source goes on producing; it only has no say any more in when the pipeline ends.
+  # An infinite source continues to produce, but no longer affects when the pipeline ends.
   defp one(state, {:complete, :infinity}, _now) do
     if not state.source.completed, do: State.report_event(state, {:completed, :infinity})
     {:ok, state}
@@ -150,7 +150,7 @@ defmodule Situ.Stage.ActionRunner do
     )
   end
 
-  # The operators behind a component close with it.
+  # The light operators after a component close with it.
   defp close_now(%{outputs: %{tail: %Output{}}} = state, _output, time) do
     state = send_all_pending(state)
     %{state | outputs: Outputs.map_outputs(state.outputs, &Output.close(&1, time))}
@@ -214,7 +214,7 @@ defmodule Situ.Stage.ActionRunner do
     %{state | outputs: flush(state), inputs: Inputs.settle_touched(state.inputs)}
   end
 
-  # Posts of a source before there is a clock wait for the operators behind it.
+  # Messages that a source posts before the clock starts wait for the light operators after it.
   defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
   defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
 

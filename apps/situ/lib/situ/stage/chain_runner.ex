@@ -58,7 +58,7 @@ defmodule Situ.Stage.ChainRunner do
   def run_tail(%{outputs: %{tail: nil}} = state, _much), do: state
   def run_tail(%{clock: nil} = state, _much), do: state
   def run_tail(%{phase: :starting} = state, _much), do: state
-  # The turn for it is on its way.
+  # Its time slice is already scheduled.
   def run_tail(%{outputs: %{left: [_ | _]}, pace: %{scheduled: true}} = state, :some), do: state
   def run_tail(%{outputs: %{left: [], own: [{_, %{pending: []}}]}} = state, _much), do: state
 

@@ -31,7 +31,7 @@ defmodule Situ.Stage.ErrorPolicy do
     state
   end
 
-  @doc "Fails the stage: it takes no more messages and discards those that arrive."
+  @doc "Fails the stage: from now on it discards all messages."
   @spec fail_stage(State.t(), Error.t()) :: State.t()
   def fail_stage(%{phase: :failed} = state, _error), do: state
 

@@ -155,7 +155,7 @@ defmodule Situ.Stage.Loop do
   defp idle?(nil, _outputs), do: true
   defp idle?(input, outputs), do: Input.empty?(input) or Outputs.available_room(outputs) < 1
 
-  # A pipeline that ends does not wait for somebody to let it go on.
+  # A pipeline that ends does not wait for a paused stage to resume.
   defp unlock(%{outputs: %{demand: :accumulate}} = state, final),
     do: if(final == State.no_final_time(), do: state, else: State.set_demand(state, :forward))
 
@@ -166,7 +166,7 @@ defmodule Situ.Stage.Loop do
   def run_scheduled_slice(%{pace: pace} = state),
     do: run_slice(%{state | pace: %{pace | scheduled: false}})
 
-  # Sends what is pending, and sets the alarm for what waits for its time.
+  # Sends pending messages, and sets the timer for messages that wait for their time.
   # A chain has nothing that waits for its time.
   defp finish(%{callback: nil} = state), do: ActionRunner.send_pending(state)
 
@@ -175,7 +175,7 @@ defmodule Situ.Stage.Loop do
 
   defp finish(state), do: released(state)
 
-  # Nor does it wait until a component has given what it keeps for later.
+  # Nor does it wait for messages that a component holds back.
   defp hurry(state, final) do
     if final == State.no_final_time(),
       do: state,
@@ -225,7 +225,7 @@ defmodule Situ.Stage.Loop do
       else: next(state, now, times, final)
   end
 
-  # The component has more to give for what it has taken in.
+  # The component has more output for the messages it has received.
   defp next(%{pace: %{continue: {:some, term}}} = state, now, times, final) do
     state = %{state | pace: %{state.pace | continue: :none}}
     state = CallbackRunner.call_callback(state, :handle_info, [{:continue, term}], now)
@@ -276,7 +276,7 @@ defmodule Situ.Stage.Loop do
       else: component(state, now, {from, till}, final)
   end
 
-  # A chain: as many messages at once as there is room for; slices grow while they are quick.
+  # A chain runs as many messages together as there is room for. Slices grow while they are quick.
   defp chain(state, now, till, final) do
     case Inputs.single_input(state.inputs) do
       nil -> finish(state)
@@ -352,7 +352,7 @@ defmodule Situ.Stage.Loop do
       else: chain(state, now, till, final)
   end
 
-  # A stage that has failed takes what comes and throws it away, so that nobody waits for it.
+  # A failed stage discards incoming messages, so that producers do not wait for it.
   defp discard(state) do
     inputs = Map.values(state.inputs.by_tag)
 

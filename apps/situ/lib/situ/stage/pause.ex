@@ -8,7 +8,7 @@ defmodule Situ.Stage.Pause do
   # The process that froze it may have died, so the freeze has a limit.
   @longest_ms 60_000
 
-  # These start and end nothing. The component's answers to them wait for the thaw.
+  # These start and end nothing. The component's replies to them wait until the stage resumes.
   defguardp change(request)
             when request == :describe or
                    (is_tuple(request) and
@@ -21,7 +21,7 @@ defmodule Situ.Stage.Pause do
   @spec wait_for_thaw(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
           {State.t(), [term()]}
   def wait_for_thaw(%{pace: %{scheduled: scheduled?}} = state, ref, change) do
-    # A turn only sends what is pending while another one is due.
+    # A time slice only sends pending messages while another one is due.
     {state, actions} = stand(resumed(state, true), ref, change, [])
     {resumed(state, scheduled?), actions}
   end

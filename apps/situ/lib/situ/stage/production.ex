@@ -7,7 +7,7 @@ defmodule Situ.Stage.Production do
   alias Situ.Stage.{CallbackRunner, ActionRunner, ErrorPolicy, Scheduling, SourceState, State}
 
   @most 1_000
-  # No further than the clock, when that is enforced: what is made ahead of it has to be held.
+  # Not beyond the clock if it is enforced, because messages ahead of it have to be held.
   @most_ahead 8
 
   @doc "Asks a pull source for messages while there is room; returns whether it may have more."
@@ -33,7 +33,7 @@ defmodule Situ.Stage.Production do
     state = state |> CallbackRunner.call_callback(:handle_demand, [room], now) |> judge(before)
     state = ActionRunner.send_pending(%{state | pace: Scheduling.enlarge_heap(state.pace, room)})
 
-    # The slice is for the operators behind it, which work in the same turn.
+    # The slice is for the light operators after it, which run in the same time slice.
     state =
       if state.outputs.tail,
         do: %{

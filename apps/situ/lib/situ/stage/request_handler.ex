@@ -75,7 +75,7 @@ defmodule Situ.Stage.RequestHandler do
   def handle_request({:refresh, from}, state),
     do: {:noreply, outputs(state, &Output.refresh_subscriber(&1, from), from)}
 
-  # A checkpoint: this stage stands still until it is let go, or only tells what it remembers.
+  # For a checkpoint, this stage pauses until it is resumed, or only reports its state.
   def handle_request({:freeze, ref}, state) do
     state = state |> heard() |> ActionRunner.send_all_pending()
     State.report_event(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
@@ -90,7 +90,7 @@ defmodule Situ.Stage.RequestHandler do
     {:noreply, state}
   end
 
-  # The pipeline knows of this source's end: what follows from its last messages is measured by it.
+  # The pipeline knows of this source's end, so later messages are measured by it.
   def handle_request(:heard, state), do: {:noreply, state |> heard() |> Loop.run_slice()}
 
   # This source has handled all messages that were sent to it before.
@@ -139,7 +139,7 @@ defmodule Situ.Stage.RequestHandler do
     {:noreply, Loop.run_slice(state)}
   end
 
-  # Subscribers from outside the pipeline still get what they have coming, at their own pace.
+  # Subscribers outside the pipeline still receive their remaining messages at their own pace.
   def handle_request(:quit, state) do
     state = state |> heard() |> ActionRunner.send_all_pending() |> close(state.source.final || 0)
 
@@ -275,7 +275,7 @@ defmodule Situ.Stage.RequestHandler do
   defp endless(state) do
     path = State.head_vertex(state).path
 
-    Error.new(:stuck, "#{path} did not come to the end of what it makes of one message",
+    Error.new(:stuck, "#{path} did not finish handling one message",
       why: "the stop waited, and it has taken nothing else since",
       fix:
         "look for a gap in time that is filled at a small interval; raise stop_timeout: when it is just slow",

@@ -41,7 +41,7 @@ defmodule Situ.Stage.Subscriptions do
   end
 
   def handle_consumer_request(state, from, request) do
-    what = "#{inspect(request, limit: 8, printable_limit: 80)} is no request of a consumer"
+    what = "#{inspect(request, limit: 8, printable_limit: 80)} is not a request of a consumer"
     fix = "{:subscribe, current, opts}, {:ask, count} and {:cancel, reason} are"
     error = Error.new(:bad_request, what, fix: fix)
 
@@ -112,7 +112,7 @@ defmodule Situ.Stage.Subscriptions do
     state
   end
 
-  # A step that sends a copy of what passes. It has no demand: a tap that does not keep up misses what comes meanwhile.
+  # A step that sends copies of messages. It has no demand, so a slow tap misses messages.
   defp probe(state, %{tag: tag, pid: pid, counters: counters} = tap) do
     me = self()
     [{_name, port} | _] = Enum.at(state.vertices, tap.index).outputs
