@@ -32,7 +32,10 @@ defmodule Situ.Codec do
 
   @optional_callbacks points: 2
 
-  @doc "Returns whether `module` is a known module (`Situ.KnownModules`) that implements this behaviour."
+  @doc """
+  Returns whether `module` implements this behaviour. Loads the module only if a loaded application lists it, so a name
+  from a file or a network cannot load other code.
+  """
   @spec implemented_by?(module()) :: boolean()
   def implemented_by?(module) when is_atom(module) do
     Situ.KnownModules.ensure_loaded?(module) and function_exported?(module, :codec_name, 0) and
