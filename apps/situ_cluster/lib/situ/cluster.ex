@@ -99,7 +99,11 @@ defmodule Situ.Cluster do
 
   @schema [
     log: [type: :string, required: true, doc: "The address of the log."],
-    log_options: [type: :keyword, default: [], doc: "Options of the log (see *The log* above)."],
+    log_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options of the log (see *The log* in `Situ.Cluster`)."
+    ],
     labels: [
       type: {:list, :string},
       default: [],
@@ -254,7 +258,8 @@ defmodule Situ.Cluster do
 
   @doc """
   Lists how much the cluster's log contains of each deployment, including deployments that have ended: the name of
-  the `deployment`, the number of its `streams` and `entries`, their size in `bytes`, and when the last one was `written` (ns since 1970, or `nil`).
+  the `deployment`, the number of its `streams` and `entries`, their size in `bytes`, and when the last one was
+  `written` (ns since 1970, or `nil`).
   """
   @spec list_log_usage() :: {:ok, [Retention.t()]} | {:error, Error.t()}
   def list_log_usage, do: with(:ok <- check_member(), do: Retention.list(Agent.get_log()))
