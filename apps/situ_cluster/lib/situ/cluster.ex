@@ -12,8 +12,8 @@ defmodule Situ.Cluster do
           checkpoint: Situ.Time.s(1)
         )
 
-  Nodes are connected by Erlang distribution (`Node.connect/1`) and share one log (`Situ.Cluster.Log`): a folder for
-  nodes on one machine, or NATS for several machines.
+  Nodes are connected by Erlang distribution (`Node.connect/1`), and share one durable log of messages, leases and
+  checkpoints.
 
   ## Parts
 
@@ -47,6 +47,26 @@ defmodule Situ.Cluster do
 
   Sources on a lost device are lost with it: the cluster does not invent data that no device recorded.
 
+  ## The log
+
+  | `log:` of `start_link/1` | for |
+  |---|---|
+  | a folder | the nodes of one machine; network file systems do not support it reliably |
+  | `"nats://host:port,host:port"` | several machines and sites: NATS JetStream (`nats-server -js`), 2.9 or newer |
+
+  If the NATS server is lost, the nodes try the servers of the list in turn, and continue when they are connected again.
+  The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A stream costs its server
+  two open files and about 80 KB of memory, so raise the server's limit of open files (`LimitNOFILE`) before you log
+  several thousand streams. `Situ.Cluster.Identity` creates certificates and a password for the nodes and the server.
+
+  `log_options:` of a folder:
+
+  #{Situ.Options.docs(Situ.Cluster.Log.Folder.options())}
+
+  `log_options:` of NATS:
+
+  #{Situ.Options.docs(Situ.Cluster.Log.Nats.options())}
+
   ## Limits
 
   When a node is lost, messages in flight on a direct stream are lost. A recording cannot be carried over: a part that
@@ -59,14 +79,6 @@ defmodule Situ.Cluster do
   except deployments that ended or were forgotten. The log's entries are sealed with the cluster's cookie. An entry
   that was written, changed or moved by anybody else is never used as data, and the part that reads it fails with the
   reason.
-
-  ## Options of `deploy/2`
-
-  #{Situ.Options.docs(Situ.Cluster.Deployment.schema())}
-
-  ## Rules of `place:`
-
-  #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
   alias Situ.Cluster.{
     Agent,
@@ -86,8 +98,12 @@ defmodule Situ.Cluster do
   alias Situ.Cluster.Log
 
   @schema [
-    log: [type: {:or, [:string, {:struct, Log}]}, required: true, doc: "The log, or its address."],
-    log_options: [type: :keyword, default: [], doc: "Options of `Situ.Cluster.Log.connect/2`."],
+    log: [type: :string, required: true, doc: "The address of the log."],
+    log_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options of the log (see *The log* in `Situ.Cluster`)."
+    ],
     labels: [
       type: {:list, :string},
       default: [],
@@ -102,7 +118,9 @@ defmodule Situ.Cluster do
     recordings: [
       type: {:optional, :string},
       default: nil,
-      doc: "A folder whose recordings can be opened from every node (`Situ.Cluster.Recordings`)."
+      doc:
+        "A folder with recordings. `overview/0` lists the newest 200 of each node, and the studio's cluster page" <>
+          " opens them over a link that this node serves. Anybody who can call functions on the node can read them."
     ]
   ]
 
@@ -143,12 +161,19 @@ defmodule Situ.Cluster do
     end
   end
 
-  defp connect_log(%Log{} = log, _opts), do: {:ok, log}
   # The node waits for a server that is not running yet, as for a lost server.
   defp connect_log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
   defp connect_log(address, opts), do: Log.connect(address, opts)
 
-  @doc "Runs a pipeline on the cluster, with the options listed above."
+  @doc """
+  Runs a pipeline on the cluster.
+
+  #{Options.docs(Deployment.schema())}
+
+  Rules of `place:`
+
+  #{Options.docs(Deployment.place_schema())}
+  """
   @spec deploy(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def deploy(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
@@ -231,7 +256,11 @@ defmodule Situ.Cluster do
   @spec forget(t()) :: :ok | {:error, Error.t()}
   def forget(%Deployment{name: name}), do: Agent.forget_deployment(name)
 
-  @doc "Lists how much the cluster's log contains of each deployment, including deployments that have ended."
+  @doc """
+  Lists how much the cluster's log contains of each deployment, including deployments that have ended: the name of
+  the `deployment`, the number of its `streams` and `entries`, their size in `bytes`, and when the last one was
+  `written` (ns since 1970, or `nil`).
+  """
   @spec list_log_usage() :: {:ok, [Retention.t()]} | {:error, Error.t()}
   def list_log_usage, do: with(:ok <- check_member(), do: Retention.list(Agent.get_log()))
 
@@ -428,7 +457,20 @@ defmodule Situ.Cluster do
 
   defp list_parts(deployment), do: Overview.list_parts(deployment, Map.keys(Agent.info().members))
 
-  @doc "Returns the nodes, parts, streams and links of the whole cluster."
+  @doc """
+  Returns the state of the whole cluster as plain data. The parts, links and recordings of a node that does not reply in
+  time are missing.
+
+  | key | value |
+  |---|---|
+  | `time`, `own_node` | when (ns since 1970) and where the state was collected |
+  | `nodes` | the `node`, its `labels`, `devices`, load (`busy`, `cores`, `machine`, `memory`), and the round `trip` to it |
+  | `parts` | the `deployment` and `part`, its `phase`, `node`, `epoch`, `checkpoints`, `error`, `pipeline` and `streams` |
+  | `links` | the `node`, the `address`, and the state of each link (`Situ.Link.info/1`) |
+  | `recordings` | the `id` (`NODE/NAME`), `node` and `name`, whether it is `live?`, and when it `changed` (s since 1970) |
+
+  The `streams` of a part list the parts that read them, each with the number of messages it is `behind`.
+  """
   @spec overview() :: Overview.t()
   defdelegate overview, to: Overview, as: :now
 
@@ -448,7 +490,20 @@ defmodule Situ.Cluster do
 
   @doc """
   Loads new code on every node while its parts are running. Takes modules, whose code is read on this node, or
-  `{module, beam}`. See `Situ.Cluster.Upgrade`.
+  `{module, beam}`. Returns the nodes.
+
+      Situ.Cluster.upgrade([MyLips])
+      Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
+
+  One node after the other, this one last, loads the code and restarts its parts from a checkpoint taken for this
+  purpose. As when a part moves, no message is lost or repeated.
+
+  The new components must accept the saved states of the old ones, and the graph must be split into the same parts and
+  streams. If a node cannot meet these conditions, it and all previous nodes return to the old code, and the error gives
+  the reason. Deploy a pipeline with another graph under another name.
+
+  An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart it, and continue with
+  the next node.
   """
   @spec upgrade([module() | {module(), binary()}]) :: {:ok, [node()]} | {:error, Error.t()}
   def upgrade(modules) do
@@ -457,7 +512,10 @@ defmodule Situ.Cluster do
          do: Upgrade.upgrade_nodes(code)
   end
 
-  @doc "Returns the last lines that a member has logged after line number `from`."
+  @doc """
+  Returns the last lines, at most `max`, that a member has logged after line number `from`, oldest first: `n` (the
+  number), `time` (ns since 1970), `level` and `text`. A member keeps 2,000 lines.
+  """
   @spec logs(node(), non_neg_integer(), pos_integer()) ::
           {:ok, [LogLines.line()]} | {:error, Error.t()}
   def logs(node \\ node(), from \\ 0, max \\ 200) do

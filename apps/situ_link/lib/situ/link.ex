@@ -13,6 +13,8 @@ defmodule Situ.Link do
   without duplicates. A lost link never closes a stream; the client reconnects (after 50 ms to 5 s) until the pipeline
   ends. A stream that its recorder closes is also closed on the receiving side. Guide: *Links between machines*.
 
+  A complete example on one machine:
+
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-link")
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
       ...>   store = Situ.Store.create(p, "lobby", root)
@@ -24,6 +26,45 @@ defmodule Situ.Link do
       [1, 2, 3]
       iex> Situ.Link.Server.close(server)
       iex> File.rm_rf!(root)
+
+  ## Addresses
+
+  | address | connection |
+  |---|---|
+  | `situ://host:port/name` | TCP; the default port is 11411 |
+  | `situs://host:port/name` | TLS; the server's certificate must be valid for the host |
+  | `situs://host/name?fingerprint=...` | TLS; accepts only the certificate with this SHA-256 fingerprint (64 digits) |
+  | `situ+unix:///path/of/socket?name` | a Unix socket |
+
+  `name` is the name of a recording. It may include a version (`lobby.0003`), and may be omitted if the server has only
+  one recording. `Situ.Link.Server.address/2` returns the address of a served recording, and `bin/situ serve` prints it.
+
+  A host without a port is looked up in this order. If none of these knows it, it is a hostname.
+
+    1. The configured names: `config :situ_link, names: %{"lab1" => "situs://10.0.0.3:11500"}`.
+    2. The processes that announce themselves over NATS (`Situ.Link.Rendezvous`), with
+       `config :situ_link, nats: "nats://lab0:4222"`.
+    3. The DNS service `_situ._tcp.lab1` (SRV), from the system's resolver or
+       `config :situ_link, nameservers: [{{10, 0, 0, 53}, 53}]`.
+
+  ## Recordings on other machines
+
+  `Situ.Store` opens an address like a local path. So do `Situ.Store.importer/3`, datasets, the studio and
+  `bin/situ store`:
+
+      {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
+      Situ.Store.streams(store)
+
+  An address without a version means the newest version at the time of opening. The server sends only the requested
+  data: the summary of a day is a few kilobytes. If the connection is lost, the next request opens it again. Until that
+  succeeds, requests return the error `:link_lost` or `:unreachable`.
+
+  Options (`reader_opts:`):
+
+    * `:token` - the secret that both sides share. By default it is taken from
+      `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable `SITU_TOKEN`, or from the first
+      line of the file that `SITU_TOKEN_FILE` names. The error is `:no_token` if that file cannot be read.
+    * `:tls` - options of `:ssl` for `situs://`
   """
   # See docs/adr/0110-links-serve-recordings.md.
   alias Situ.{Delivery, Error, Options, Pipeline}
@@ -120,8 +161,9 @@ defmodule Situ.Link do
 
   @doc """
   Serves recordings: a path (all versions of its name, one after the other), an open store, or a map of names to these.
-  During `build`, also serves the result of `Situ.Store.create/4` (`pipeline: p` ends the server with the pipeline) and
-  live streams: a stream or `[{"name", stream}, ...]`, whose last minute is kept in memory.
+  During `build`, also serves the result of `Situ.Store.create/4` and live streams: a stream or
+  `[{"name", stream}, ...]`, whose last minute is kept in memory. A server of live streams ends with their pipeline, and
+  any other server ends with the pipeline of the option `pipeline: p`.
 
   Listens on 127.0.0.1 unless `interface:` is given, and then requires a token or a certificate.
 
@@ -313,9 +355,16 @@ defmodule Situ.Link do
   end
 
   @doc """
-  Returns the state of the link: `connected?`, the number of `connections` so far, `bytes` received, the other clock's
-  `offset`, `drift` and `uncertainty` (ns), `round_trip`, and for each stream whether it was `found?`, `received`,
-  `lost`, `position` ...
+  Returns the state of the link:
+
+  | key | value |
+  |---|---|
+  | `connected?`, `connections` | whether it is connected now, and how often it has connected |
+  | `error` | why it is not connected, or `nil` |
+  | `bytes` | the bytes received |
+  | `offset`, `uncertainty`, `drift` | how far the other clock is ahead and how exact that is (ns), and how fast it changes |
+  | `round_trip` | the quickest of the recent round trips, ns |
+  | `streams` | for each stream whether it was `found?`, how many messages were `received` and `lost`, its `position` ... |
   """
   @spec info(t()) :: map()
   def info(%__MODULE__{pid: pid}), do: Connection.link_info(pid)

@@ -19,17 +19,39 @@ defmodule Situ.Live do
       routes = [
         {:live, "/", Hello},
         {:static, "/assets", {:my_app, "priv/static"}},
-        {:get, "/data/:stream", &MyData.window/1},      # Situ.Live.Request -> Situ.Live.Response
-        {:socket, "/live/data", MyFrames, :any_term}    # Situ.Live.SocketHandler
+        {:get, "/data/:stream", &MyData.window/1},
+        {:socket, "/live/data", MyFrames, :any_term}
       ]
 
       children = [{Situ.Live, port: 4040, routes: routes, layout: &MyLayout.root/1}]
 
-  The main modules are `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function
-  components, slots, islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS`
-  (commands), `Situ.Live.Route` (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP),
-  `Situ.Live.SocketHandler` (custom WebSockets), `Situ.Live.Token`, and `Situ.Live.Test` (tests of views without a
-  browser).
+  | to write | see |
+  |---|---|
+  | a page | `Situ.Live.View` (callbacks), `Situ.Live.Socket` (its state), `Situ.Live.JS` (commands of the browser) |
+  | templates | `Situ.Live.Component`: `~H`, function components, slots, islands |
+  | a handler of HTTP requests | `Situ.Live.Request`, `Situ.Live.Response` |
+  | a handler of a WebSocket | `Situ.Live.SocketHandler` |
+  | tests without a browser | `Situ.Live.Test` |
+
+  ## Routes
+
+  Routes are matched in their order.
+
+  | route | serves |
+  |---|---|
+  | `{:live, path, View}`, `{:live, path, View, opts}` | a page: a view in the layout |
+  | `{:get, path, handler}` or `:post`, `:put`, `:patch`, `:delete`, `:any` (or with `opts`) | the handler's response |
+  | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files in `dir` (GET, HEAD) |
+  | `{:socket, path, Module, arg}`, `{:socket, path, Module, arg, opts}` | a WebSocket (`Situ.Live.SocketHandler`) |
+
+  A path is matched segment by segment: `:name` matches one segment, `*rest` all remaining ones. Both are in the
+  request's `params` (a view's `params`). A handler is a function of one argument (the `Situ.Live.Request`), or
+  `{Module, arg}`, for which the server calls `Module.call(request, arg)`. It returns a `Situ.Live.Response`.
+
+  Options of `:live`: `action:` (the assign `live_action` of the view), `session:` (a JSON-able map, or a function that
+  computes it from the request; signed into the page and passed to `mount/3`), `layout:` (replaces the server's layout).
+  Options of the handlers: `max_body:` (bytes). Options of `:static`: `cache:` (the `cache-control` header). Options of
+  `:socket`: `max_frame:` (bytes of an incoming message, default 65,536).
 
   ## The page's script
 
@@ -53,7 +75,7 @@ defmodule Situ.Live do
 
   ## Options
 
-    * `:routes` - see `Situ.Live.Route`; required
+    * `:routes` - see *Routes* above; required
     * `:port` - default 4040; 0 picks a free port (see `port/1`)
     * `:ip` - the address to listen on, default `{127, 0, 0, 1}`
     * `:token` - `:auto` (default: none on a loopback address, random elsewhere), a string, or `:none` (loopback only)

@@ -32,7 +32,7 @@ defmodule Situ.CLI.ClusterLogOptions do
     ]
   end
 
-  @doc "Returns the options of `Situ.Cluster.Log.connect/2` for an address."
+  @doc "Returns the options of the log at an address."
   @spec connect_options(String.t(), keyword(), Path.t()) :: keyword()
   def connect_options("nats://" <> rest, opts, identity) do
     own = if opts[:log_plain], do: [], else: Identity.log_options(identity)

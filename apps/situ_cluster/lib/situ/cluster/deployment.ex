@@ -17,7 +17,8 @@ defmodule Situ.Cluster.Deployment do
     deterministic: [
       type: :boolean,
       default: false,
-      doc: "The same inputs always produce the same outputs (see above)."
+      doc:
+        "The same inputs always produce the same outputs (see *When a node is lost* in `Situ.Cluster`)."
     ]
   ]
 

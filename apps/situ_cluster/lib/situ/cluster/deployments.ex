@@ -1,12 +1,11 @@
 defmodule Situ.Cluster.Deployments do
   @moduledoc false
-  # Keeps the deployments of a cluster in its log. One key holds all of them, so that the nodes can run them again
-  # after all of them were lost. Each deployment has a run, a random name that is part of the key of its seals. When
-  # a log was deleted and another deployment gets the same name, nodes refuse all entries of the earlier one.
-  #
-  # A forgotten deployment keeps its run as long as its log exists, and continues from its last position when it is
-  # deployed again. The log of a run contains a mark. Deleting the log also deletes the mark, even if the program that
-  # deletes it does not have the cookie.
+  # Keeps the deployments of a cluster in one key of its log, so that the nodes can run them again after all of them
+  # were lost. Each deployment has a run, a random name that is part of the key of its seals. When a log was deleted
+  # and another deployment gets the same name, nodes refuse all entries of the earlier one. A forgotten deployment
+  # keeps its run as long as its log exists, and continues from its last position when it is deployed again. The log
+  # of a run contains a mark, which disappears with it, even if the program that deletes the log does not have the
+  # cookie.
   alias Situ.Cluster.{Deployment, SignedEntry, SealedLog}
   alias Situ.Error
   alias Situ.Cluster.Log

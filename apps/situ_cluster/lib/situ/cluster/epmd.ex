@@ -1,15 +1,9 @@
 defmodule Situ.Cluster.Epmd do
   @moduledoc false
-  # Provides Erlang distribution without `epmd`, the daemon that knows every node's port. The name
-  # of a node contains its port: `situ-9301@lab1.local` listens on port 9301.
-  #
-  #     elixir --name situ-9301@127.0.0.1 --erl "-start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd -pa EBIN" ...
-  #
-  # A node whose name has no port (`iex@host`) listens on any free port. It can connect to other
-  # nodes, but they cannot find it.
-  # `epmd` would be another daemon, listening on all interfaces. A fixed port (`-erl_epmd_port`)
-  # would allow only one node per machine. With the port in the name, a firewall needs one open
-  # port per node.
+  # Provides Erlang distribution without `epmd`, which would be another daemon, listening on all interfaces. The
+  # name of a node contains its port: `situ-9301@lab1.local` listens on port 9301, so a firewall needs one open port
+  # per node, and a machine may run several nodes. A node whose name has no port (`iex@host`) listens on any free
+  # port. It can connect to other nodes, but they cannot find it.
 
   # The version of the distribution protocol, in the form that epmd reports it.
   @version 6

@@ -4,6 +4,12 @@ defmodule Situ.Cluster.Identity do
   files for their own NATS server, in a folder that only its owner can read. Create it once, then copy it to every
   machine.
 
+      :ok = Situ.Cluster.Identity.create("/etc/situ/cluster")
+      options = Situ.Cluster.Identity.log_options("/etc/situ/cluster")
+      Situ.Cluster.start_link(log: "nats://lab1:4222", log_options: options)
+
+  The folder contains:
+
       cookie            the secret of Erlang's distribution and of the seals in the log
       ca.pem            the cluster's own authority; certificates of other authorities are rejected
       node.pem/.key     the certificate of every node
@@ -94,8 +100,8 @@ defmodule Situ.Cluster.Identity do
   def verify(_certificate, valid, state) when valid in [:valid, :valid_peer], do: {:valid, state}
 
   @doc """
-  Returns the options of `Situ.Cluster.Log.connect/2` for a NATS server that was set up with this identity, or `[]` for
-  an identity without NATS files.
+  Returns the `log_options:` of `Situ.Cluster.start_link/1` for a NATS server that was set up with this identity, or
+  `[]` for an identity without NATS files.
   """
   @spec log_options(Path.t()) :: keyword()
   def log_options(folder), do: NatsIdentity.log_options(folder, {&verify/3, []})

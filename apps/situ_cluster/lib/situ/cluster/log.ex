@@ -1,25 +1,14 @@
 defmodule Situ.Cluster.Log do
   @moduledoc false
-  # Keeps a durable log of entries, grouped by subject. An append names the last entry, so each
-  # write happens exactly once.
+  # Keeps a durable log of entries, grouped by subject, in a folder or in NATS.
   #
-  # Every write names the sequence number of the entry that it follows (`0` if the subject is
-  # empty). It is refused if another writer has appended an entry since. This one rule provides
-  # ordering, exactly-once writes and fencing. A writer whose acknowledgement was lost sends the
-  # same entry again; its `op`, unique to each write, shows that the entry was already written.
+  # Every write names the sequence number of the entry that it follows (`0` if the subject is empty). It is refused
+  # if another writer has appended an entry since. This one rule provides ordering, exactly-once writes and fencing.
+  # A writer whose acknowledgement was lost sends the same entry again; its `op`, unique to each write, shows that
+  # the entry was already written.
   #
-  # There are two kinds of subjects:
-  #
-  #   * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
-  #   * `{:key, name}` keeps only the last entry (leases, checkpoints).
-  #
-  #
-  # There are two adapters:
-  #
-  # | address | adapter | for |
-  # |---|---|---|
-  # | a folder | `Situ.Cluster.Log.Folder` | the processes of one machine (one local file system) |
-  # | `nats://host:port,host:port` | `Situ.Cluster.Log.Nats` | several machines and sites: NATS JetStream, 2.9 or newer |
+  # A subject `{:stream, name}` keeps all its entries, except those deleted by `trim/3`. A subject `{:key, name}`
+  # keeps only the last entry (leases, checkpoints).
   # See docs/adr/0113-the-log-offers-one-conditional-append.md.
   alias Situ.Error
   alias Situ.Cluster.Log.Entry

@@ -1,12 +1,10 @@
 defmodule Situ.Cluster.LogWriter do
   @moduledoc false
-  # Writes the messages that a part publishes into the log. It is a separate process, so its publisher can keep serving
-  # readers, who see the outputs of a deterministic part before the log contains them. Each publisher has one such
-  # process and is linked to it, so that both end together. Entries are written in the order of the casts, and each
-  # stream has only one write in progress.
-  #
-  # Sends its publisher `{:situ_stored, name, mark, seq}` after each write. A refused write ends both processes,
-  # because another node has taken over the part.
+  # Writes the messages that a part publishes into the log, so that its publisher can keep serving readers, who see
+  # the outputs of a deterministic part before the log contains them. The two processes are linked. Entries are
+  # written in the order of the casts, and each stream has only one write in progress. Sends its publisher
+  # `{:situ_stored, name, mark, seq}` after each write. A refused write ends both processes, because another node
+  # has taken over the part.
   # See docs/adr/0117-readers-do-not-wait-for-the-log.md.
   use GenServer
 

@@ -1,12 +1,7 @@
 defmodule Situ.Link.Access do
   @moduledoc false
-  # Resolves the token and the TLS options of a link when the caller has only an address: on a
-  # command line, in the studio, or in a dataset.
-  #
-  # The token comes from the first of these sources that has one: the option `token:`, `config
-  # :situ_link, tokens: %{"lab1" => "..."}` (by the host of the address), the environment variable
-  # `SITU_TOKEN`, and the first line of the file named by `SITU_TOKEN_FILE`. The TLS options come
-  # from `tls:`.
+  # Resolves the token and the TLS options of a link when the caller has only an address: on a command line, in the
+  # studio, or in a dataset. The documentation of `Situ.Link` lists the sources of the token in their order.
   alias Situ.{Error, Options}
   alias Situ.Link.Address
 

@@ -1,21 +1,7 @@
 defmodule Situ.Link.Address do
   @moduledoc false
-  # Parses the address of a link: `situ://host:port/name`, `situs://...` (TLS), or
-  # `situ+unix:///path/of/socket?name`.
-  #
-  # `situs://host/name?fingerprint=...` pins the server's certificate by its SHA-256 fingerprint
-  # (64 hexadecimal digits). Any other certificate is rejected, even if a trusted authority signed
-  # it. `bin/situ serve --tls` prints the full address.
-  #
-  # A host without a port is first looked up among the configured names:
-  #
-  #     config :situ_link, names: %{"lab1" => "situs://10.0.0.3:11500"}
-  #
-  # With `config :situ_link, nats: "nats://lab0:4222"` it is then looked up among the processes
-  # that find one another over NATS (`Situ.Link.Rendezvous`). After that it is looked up as a DNS
-  # service (`_situ._tcp.lab1`, SRV), using the system's resolver or `config :situ_link,
-  # nameservers: [{{10, 0, 0, 53}, 53}]`. If none of these knows the name, it is used as a
-  # hostname.
+  # Parses, formats and resolves the addresses of links. The documentation of `Situ.Link` describes their forms, and
+  # where a host without a port is looked up.
   alias Situ.Error
   alias Situ.Link.Rendezvous.NatsMember
 

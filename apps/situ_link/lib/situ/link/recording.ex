@@ -1,22 +1,7 @@
 defmodule Situ.Link.Recording do
   @moduledoc false
-  # Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`.
-  # This also works in `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
-  #
-  #     {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
-  #     Situ.Store.streams(store)
-  #
-  # The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may
-  # include a version (`situ://lab1/lobby.0003`). Without one, the newest version at the time of
-  # opening is used from then on. The server sends only the requested data: the summary of a day
-  # is a few kilobytes. If the connection is lost, the next request opens it again. Until that
-  # succeeds, requests fail with `:link_lost` or `:unreachable`.
-  #
-  # Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken
-  # from `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable
-  # `SITU_TOKEN`, or from the first line of the file named by `SITU_TOKEN_FILE`. With a
-  # fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only that certificate is
-  # accepted.
+  # Opens recordings on other machines like local ones. The documentation of `Situ.Link` describes their addresses and
+  # options. Each request is sent when its result is needed, so only the requested data is transferred.
   # See docs/adr/0115-remote-recordings-answer-requests.md.
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format

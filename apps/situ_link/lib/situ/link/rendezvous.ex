@@ -15,16 +15,25 @@ defmodule Situ.Link.Rendezvous do
       iex> receive do {:situ_rendezvous, ^desk, event} -> event end
       {:removed, "robot"}
 
-  The protocol is \\psi's, version 2 (`Situ.Link.Rendezvous.Protocol`), so \\psi's processes can take part. When a
-  client dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not
-  delay the others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same
-  name, the others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when
-  that one leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback
-  address or a separate network. The server disconnects a client that does not send a greeting, or does not complete a
-  message, within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced
-  nothing.
+  An endpoint has one of these forms, in which each stream is `{name, type}`, both strings:
 
-  If the log already uses a NATS server, no other server is needed.
+  | endpoint | offers |
+  |---|---|
+  | `{:address, address, streams}` | a link (`situ://...`); ZeroMQ in \\psi |
+  | `{:tcp, host, port, streams}` | one stream in \\psi's TCP framing |
+  | `{:exporter, host, port, transport, streams}` | an exporter of \\psi |
+  | `{:clock, host, port, []}` | the clock of \\psi |
+
+  The protocol is \\psi's, version 2, so \\psi's processes can take part. When a client dies, its processes are
+  removed. A process may change its endpoints (`announce/2`), a silent client does not delay the others, and a client
+  that loses its server reconnects after 50 ms to 5 s. If two processes have the same name, the others see only the
+  first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when that one leaves.
+
+  The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback address or a
+  separate network. The server disconnects a client that does not send a greeting, or does not complete a message,
+  within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced nothing.
+
+  If the log of a cluster already uses a NATS server, no other server is needed.
   `join("nats://lab1:4222,lab2:4222", name: "robot", ...)` does the same over NATS, including its clusters, leaf links,
   accounts and TLS (JetStream is not needed). With `config :situ_link, nats: "nats://lab1:4222"` the names of such
   processes can be used in addresses: `situ://robot` resolves to the first link that the process `robot` offers.
@@ -56,7 +65,7 @@ defmodule Situ.Link.Rendezvous do
       type: :list,
       default: [],
       doc:
-        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` or the other forms in `Protocol`."
+        "Its endpoints, such as `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` (see above)."
     ],
     listener: [
       type: {:optional, :pid},
@@ -79,6 +88,12 @@ defmodule Situ.Link.Rendezvous do
 
   alias Situ.{Error, Options}
   alias Situ.Link.Rendezvous.{Member, NatsMember, Server, Protocol}
+
+  @typedoc "An offer of a process, in one of the forms that the table above lists."
+  @type endpoint :: Protocol.endpoint()
+
+  @typedoc "A process: its name, its version and its endpoints."
+  @type process :: Protocol.process()
 
   @doc """
   Starts a server that is linked to the caller.
@@ -110,11 +125,11 @@ defmodule Situ.Link.Rendezvous do
   end
 
   @doc "Returns the other processes that are currently present."
-  @spec peers(pid()) :: [Protocol.process()]
+  @spec peers(pid()) :: [process()]
   def peers(member), do: GenServer.call(member, :peers)
 
   @doc "Replaces the announced endpoints."
-  @spec announce(pid(), [Protocol.endpoint()]) :: :ok
+  @spec announce(pid(), [endpoint()]) :: :ok
   def announce(member, endpoints), do: GenServer.call(member, {:announce, endpoints})
 
   @doc "Returns why the others cannot see this process (no connection, or its name is taken), or `nil`."

@@ -1,6 +1,10 @@
 defmodule Situ.Link.Server do
   @moduledoc """
-  Listens for clients and starts a separate process for each (`Situ.Link.serve/2`).
+  Listens for clients and starts a separate process for each. `Situ.Link.serve/2` starts a server.
+
+      {:ok, server} = Situ.Link.serve("recordings/lobby", port: 0)
+      Situ.Link.Server.address(server, "lobby")          # "situ://127.0.0.1:40123/lobby"
+      Situ.Link.Server.close(server, 5_000)
 
   The server limits the number of clients, in total and per address, and how often an address may try a wrong token. A
   client that sends invalid data, sends nothing, or does not read loses its connection. Other clients are not affected.
@@ -28,7 +32,8 @@ defmodule Situ.Link.Server do
     refused: 0
   ]
 
-  @doc "Opens the listeners. `config` holds the settings of the sessions: `served`, `token`, `quota`, `now`."
+  # Opens the listeners. `config` holds the settings of the sessions: `served`, `token`, `quota`, `now`.
+  @doc false
   @spec start_link([{:tcp | :tls | :unix, keyword()}], map()) ::
           {:ok, pid()} | {:error, Error.t()}
   def start_link(listens, config) do

@@ -60,11 +60,8 @@ defmodule Situ.Link.ServerConfig do
       doc:
         "For live streams: how much is kept in memory for clients that lag, in ns of originating time."
     ],
-    pipeline: [
-      type: {:optional, {:struct, Situ.Graph.Handle}},
-      default: nil,
-      doc: "The pipeline whose end closes the server. Not needed for live streams."
-    ],
+    # The documentation of `Situ.Link.serve/2` describes this option without naming the private struct.
+    pipeline: [type: {:optional, {:struct, Situ.Graph.Handle}}, default: nil, doc: false],
     linger: [
       type: :non_neg_integer,
       default: 5_000,

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Component do
   @moduledoc """
-  Function components are functions of `assigns` that return `~H`.
+  Defines function components: functions of `assigns` that return `~H`.
 
       defmodule Buttons do
         use Situ.Live.Component
@@ -20,6 +20,20 @@ defmodule Situ.Live.Component do
 
   `attr` fills in defaults and raises if a required attribute is missing. `:global` collects the attributes that are
   not declared. Types only document the component.
+
+  ## Templates
+
+  `~H` compiles HTML with embedded Elixir; it supports the part of Phoenix's HEEx that views need.
+
+    * `{expression}` in text and `name={expression}` in tags are always escaped
+    * `class={["a", @on && "b"]}`; `nil` and `false` omit an attribute, `true` writes only its name; `{map}` spreads
+    * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` work on any tag, component or slot
+    * `<.card title="x">`, `<Other.card>` call function components; `<:name :let={x}>` are their slots
+    * `phx-no-curly-interpolation` on a tag makes braces inside it plain text, as they are in `<script>` and `<style>`
+    * `<%= expression %>` equals `{expression}`; `<%!-- --%>` is omitted; blocks (`<% if ... do %>`) are rejected
+
+  A tag that is not closed, or is closed by another name, is a compile error with file, line and column. Only
+  expressions whose assigns changed are evaluated again, so read assigns as `@name`.
   """
   alias Situ.Live.{Island, Rendered}
 

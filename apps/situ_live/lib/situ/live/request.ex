@@ -1,14 +1,24 @@
 defmodule Situ.Live.Request do
-  @moduledoc false
-  # One HTTP request, as a route's handler receives it.
-  #
-  #   * `method` - `"GET"`, `"POST"` ...
-  #   * `path` - as sent; `segments` - the path split at `/` and percent-decoded
-  #   * `query` - the query decoded by `Situ.Live.Query`; `params` - values matched by the route's `:name` and `*rest`
-  #   * `headers` - a map with lower-case names
-  #   * `body` - the complete body; the server's `max_body` limits its size
-  #   * `peer` - `{address, port}` of the client
-  #   * `role` - `:viewer` if the client used the server's `viewer_token:`, else `:owner`
+  @moduledoc """
+  One HTTP request, as a route's handler receives it.
+
+      def window(%Situ.Live.Request{params: %{"stream" => name}, query: query}),
+        do: Situ.Live.Response.json(%{"stream" => name, "from" => query["from"]})
+
+  | field | value |
+  |---|---|
+  | `method` | `"GET"`, `"POST"` ... |
+  | `path`, `segments` | the path as sent, and split at `/` and percent-decoded |
+  | `params` | the values that the route's `:name` and `*rest` match |
+  | `query`, `query_string` | the decoded query (`a[b]=1` is `%{"a" => %{"b" => "1"}}`), and as sent |
+  | `headers` | a map with lower-case names; see `get_header/2` |
+  | `body` | the complete body; the server's `max_body:` limits its size |
+  | `scheme`, `host` | `"http"` or `"https"`, and the host to which the browser sent the request |
+  | `peer` | `{address, port}` of the client |
+  | `role` | `:viewer` if the client used the server's `viewer_token:`, else `:owner` |
+
+  Values of `query` and `params` are strings from the client: check them before use.
+  """
   alias Situ.Live.Query
 
   defstruct method: "GET",

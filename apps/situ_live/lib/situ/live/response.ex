@@ -1,10 +1,14 @@
 defmodule Situ.Live.Response do
-  @moduledoc false
-  # The response of a handler: status, headers, body.
-  #
-  # A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or
-  # `{:chunks, enumerable}`. The server adds `content-length` or chunking, and the security
-  # headers.
+  @moduledoc """
+  The response of a handler: status, headers, body.
+
+      iex> response = Situ.Live.Response.text("not here", 404)
+      iex> {response.status, response.headers, response.body}
+      {404, [{"content-type", "text/plain; charset=utf-8"}], "not here"}
+
+  A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`. The
+  server adds `content-length` or chunking, and the security headers.
+  """
   alias Situ.Live.{ContentType, Request}
 
   defstruct status: 200, headers: [], body: ""

@@ -1,6 +1,9 @@
 defmodule Situ.Live.Socket do
   @moduledoc """
   The state of one view. Views read `socket.assigns` and change it with the functions that `use Situ.Live.View` imports.
+
+      def handle_event("save", %{"name" => name}, socket),
+        do: {:noreply, socket |> assign(name: name) |> push_event("saved", %{}) |> push_patch(to: "/rooms")}
   """
   alias Situ.Live.Stream
 
@@ -97,7 +100,19 @@ defmodule Situ.Live.Socket do
   @spec connected?(t()) :: boolean()
   def connected?(%__MODULE__{connected?: connected?}), do: connected?
 
-  @doc "Creates or extends a `Situ.Live.Stream`; options `at:`, `limit:`, `reset:`, `dom_id:`."
+  @doc """
+  Creates or extends a list that only the browser keeps: the server sends inserts and deletes and then discards them.
+
+      # mount:   stream(socket, :lines, lines)
+      # event:   stream_insert(socket, :lines, line, at: 0, limit: 200)
+      <ul id="lines" phx-update="stream">
+        <li :for={{id, line} <- @streams.lines} id={id}>{line.text}</li>
+      </ul>
+
+  Each item needs an `:id`, or the option `dom_id:` with a function that returns the row's id. Options: `at:` (the
+  position of the items, default -1, the end), `limit:` (the number of rows that the browser keeps), `reset:` (whether
+  to remove all earlier rows), `dom_id:`.
+  """
   @spec stream(t(), atom(), Enumerable.t(), keyword()) :: t()
   def stream(socket, name, items, opts \\ []) do
     case socket.assigns[:streams] do

@@ -1,9 +1,7 @@
 defmodule Situ.Live.Token do
   @moduledoc false
-  # Signs values that a browser stores for the server, so that the browser cannot change them.
-  #
-  # A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its
-  # HMAC-SHA256. It is not encrypted.
+  # Signs values that a browser stores for the server, so that the browser cannot change them. A token is
+  # `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its HMAC-SHA256. It is not encrypted.
   alias Situ.JSON
 
   @doc """

@@ -1,31 +1,29 @@
 defmodule Situ.Cluster.Log.Folder do
   @moduledoc false
-  # Keeps the log of one machine in a folder, without a server. Any number of OS processes may
-  # write to it, and each may be killed at any time.
+  # Keeps the log of one machine in a folder, without a server. Any number of OS processes may write to it, and each
+  # may be killed at any time.
   #
-  # An entry is a file named by its number. The file is written under a temporary name and then
-  # hard-linked to its final name. The link fails if that name exists, so the file system itself
-  # provides the compare-and-set. A linked entry survives a kill of the process and, with `sync:
-  # true`, also a power failure.
+  # An entry is a file named by its number. It is written under a temporary name and then hard-linked to its final
+  # name. The link fails if that name exists, so the file system itself provides the compare-and-set.
   #
   #     root/streams/<subject>/<thousand>/<number>
   #     root/keys/<subject>/<number>                 the last two entries
   #     root/tmp/                                    entries being written
   #
-  # A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in
-  # its file `name`.
-  #
-  # Network file systems do not support this reliably. Use NATS for several machines.
-  #
-  # Options:
-  #
-  #   * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
+  # A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in its file `name`.
   @behaviour Situ.Cluster.Log
 
   alias Situ.{Error, Options}
   alias Situ.Cluster.Log.Entry
 
-  @schema [sync: [type: :boolean, default: false]]
+  @schema [
+    sync: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Wait until each entry was written to the disk, so that it also survives a power failure."
+    ]
+  ]
   @bucket 1_000
   # Larger entries would work, but each entry is read and written as a whole.
   @limit 64 * 1024 * 1024
@@ -34,6 +32,9 @@ defmodule Situ.Cluster.Log.Folder do
   defstruct [:root, :sync]
 
   @type t :: %__MODULE__{root: Path.t(), sync: boolean()}
+
+  @doc false
+  def options, do: @schema
 
   @impl true
   def connect(root, opts) do

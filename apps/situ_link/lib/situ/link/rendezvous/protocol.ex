@@ -1,17 +1,9 @@
 defmodule Situ.Link.Rendezvous.Protocol do
   @moduledoc false
-  # Encodes and decodes \psi's rendezvous protocol, version 2. Pure.
+  # Encodes and decodes \psi's rendezvous protocol, version 2, which `Situ.Link.Rendezvous` describes. Pure.
   #
-  # Processes announce their endpoints. A process is `%{name: name, version: text, endpoints:
-  # [endpoint]}`. An endpoint has one of these forms:
-  #
-  #   * `{:tcp, host, port, streams}`: one stream in \psi's TCP framing,
-  #   * `{:address, address, streams}`: ZeroMQ in \psi, a link (`situ://...`) in Situ,
-  #   * `{:exporter, host, port, transport, streams}`,
-  #   * `{:clock, host, port, []}`.
-  #
-  # A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least
-  # significant first) and its UTF-8 bytes. Integers are little-endian.
+  # A string is its length (seven bits per byte, least significant first) and its UTF-8 bytes. Integers are
+  # little-endian.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @version 2
