@@ -34,7 +34,7 @@ defmodule Situ.Bridge.File do
   """
   use Situ.Component, inputs: [in: :any], options: @write
 
-  @chunk 65_536
+  @chunk_bytes 65_536
 
   @doc "Writes a stream to a file; returns the stream."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
@@ -107,7 +107,7 @@ defmodule Situ.Bridge.File do
   defp next_messages({nil, _, _} = acc, _module, _path, _opts), do: {:halt, acc}
 
   defp next_messages({file, {rest, state}, at}, module, path, opts) do
-    case :file.read(file, @chunk) do
+    case :file.read(file, @chunk_bytes) do
       {:ok, bytes} ->
         emit_messages(
           module.split(rest <> bytes, state, false, opts),
@@ -153,12 +153,12 @@ defmodule Situ.Bridge.File do
          module: Format.fetch_module!(opts[:format]),
          format: opts[:format],
          file: nil,
-         place: 0
+         position: 0
        }}
 
   @impl true
   def handle_start(_context, state) do
-    case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
+    case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk_bytes, 1_000}]) do
       {:ok, file} -> {[], %{state | file: file}}
       {:error, reason} -> raise open_error(state.path, reason)
     end
@@ -166,20 +166,20 @@ defmodule Situ.Bridge.File do
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    {record, place} = encode_record(state, message)
+    {record, position} = encode_record(state, message)
     append_bytes(state, record)
-    {[], %{state | place: place}}
+    {[], %{state | position: position}}
   end
 
   defp encode_record(state, message) do
-    Format.encode_record(state.module, message.data, message.originating_time, state.place)
+    Format.encode_record(state.module, message.data, message.originating_time, state.position)
   catch
     {:not_writable, what} -> raise Format.not_writable_error(state.format, what)
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
-    append_bytes(state, state.module.finish(state.place))
+    append_bytes(state, state.module.finish(state.position))
     {[], close_file(state)}
   end
 

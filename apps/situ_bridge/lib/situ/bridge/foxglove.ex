@@ -48,7 +48,7 @@ defmodule Situ.Bridge.Foxglove do
   alias Situ.Bridge.Net.Listener
   alias Situ.Error
 
-  @most_clients 100
+  @max_clients 100
 
   @doc """
   Serves a recording to any number of clients until `stop/1`. Errors: the errors of `Situ.Store.open/2`,
@@ -96,7 +96,7 @@ defmodule Situ.Bridge.Foxglove do
   def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
 
   def handle_call(:adopt, _from, state) do
-    if MapSet.size(state.clients) >= @most_clients do
+    if MapSet.size(state.clients) >= @max_clients do
       {:reply, :full, state}
     else
       {:ok, client} = Client.start_link(state.args)

@@ -16,7 +16,7 @@ defmodule Situ.Bridge.MessagePack do
   """
   import Situ.BinarySize, only: [pinned_size: 1]
 
-  @deepest 512
+  @max_depth 512
 
   @doc "Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent."
   @spec encode(term()) :: iodata()
@@ -115,8 +115,8 @@ defmodule Situ.Bridge.MessagePack do
     {:not_message_pack, why} -> {:error, why}
   end
 
-  defp decode_value(_bytes, depth, _pairs?) when depth > @deepest,
-    do: throw_malformed("it is nested more than #{@deepest} levels deep")
+  defp decode_value(_bytes, depth, _pairs?) when depth > @max_depth,
+    do: throw_malformed("it is nested more than #{@max_depth} levels deep")
 
   defp decode_value(<<0::1, n::7, rest::binary>>, _, _), do: {n, rest}
   defp decode_value(<<0b1000::4, n::4, rest::binary>>, d, p), do: decode_map(n, rest, d, p)
@@ -172,7 +172,7 @@ defmodule Situ.Bridge.MessagePack do
 
   defp take_bytes(n, bytes) do
     case bytes do
-      <<taken::binary-pinned_size(n), rest::binary>> -> {:binary.copy(taken), rest}
+      <<part::binary-pinned_size(n), rest::binary>> -> {:binary.copy(part), rest}
       _ -> throw_malformed("it ends within a value of #{n} bytes")
     end
   end

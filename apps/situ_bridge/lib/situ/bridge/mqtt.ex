@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Mqtt do
   alias Situ.Bridge.Mqtt.{Sink, Subscription}
   alias Situ.Bridge.Net
 
-  @own [
+  @options [
     port: [
       type: {:optional, {:integer, 1, 65_535}},
       default: nil,
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Mqtt do
         "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
     ]
   ]
-  @schema @own ++ Net.ClientSocket.tls_options()
+  @schema @options ++ Net.ClientSocket.tls_options()
   @moduledoc """
   Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
   streams on topics.
@@ -72,12 +72,15 @@ defmodule Situ.Bridge.Mqtt do
   """
   @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, host, topic, opts \\ []) do
-    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    own = own |> hide_password() |> Situ.Options.validate!(@schema)
-    id = own[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
-    arg = [id: id, topic: topic] ++ Keyword.drop(own, [:port, :tls])
-    port = own[:port] || if(own[:tls] in [nil, false], do: 1_883, else: 8_883)
-    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: own[:tls]] ++ opts)
+    {mqtt_opts, opts} = Keyword.split(opts, Keyword.keys(@schema))
+    mqtt_opts = mqtt_opts |> hide_password() |> Situ.Options.validate!(@schema)
+
+    id =
+      mqtt_opts[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+
+    arg = [id: id, topic: topic] ++ Keyword.drop(mqtt_opts, [:port, :tls])
+    port = mqtt_opts[:port] || if(mqtt_opts[:tls] in [nil, false], do: 1_883, else: 8_883)
+    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: mqtt_opts[:tls]] ++ opts)
   end
 
   # Options are part of the graph and of process states, which logs and observers show.

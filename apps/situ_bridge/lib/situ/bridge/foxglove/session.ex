@@ -7,19 +7,19 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
   # The approximate limit of bytes sent in one tick; the playback waits for the rest.
-  @most_at_once 4_000_000
-  @look_every 1_000_000_000
+  @max_tick_bytes 4_000_000
+  @refresh_ns 1_000_000_000
   @parameters ~w(situ.paused situ.speed situ.position)
 
   defstruct [
     :source,
     :playback,
     :sdk?,
-    :looked,
-    wanted: %{},
-    told: MapSet.new(),
-    watched: MapSet.new(),
-    warned: MapSet.new()
+    :refreshed_at,
+    subscriptions: %{},
+    announced: MapSet.new(),
+    watched_names: MapSet.new(),
+    warned_ids: MapSet.new()
   ]
 
   @type t :: %__MODULE__{}
@@ -68,15 +68,17 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   defp advertise_channels(session) do
     new =
-      for {id, {_, channel}} <- session.source.channels, id not in session.told, do: {id, channel}
+      for {id, {_, channel}} <- session.source.channels,
+          id not in session.announced,
+          do: {id, channel}
 
-    told = Enum.into(new, session.told, &elem(&1, 0))
+    announced = Enum.into(new, session.announced, &elem(&1, 0))
 
     channels =
       for {id, channel} <- Enum.sort(new), do: StoreChannels.describe_channel(id, channel)
 
     {if(new == [], do: [], else: [Wire.encode_op("advertise", channels: channels)]),
-     %{session | told: told}}
+     %{session | announced: announced}}
   end
 
   @doc "Handles a frame from the client."
@@ -93,7 +95,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     do: collect_frames(list, session, &add_subscription/2)
 
   defp handle_op(session, "unsubscribe", %{"subscriptionIds" => ids}) when is_list(ids),
-    do: {[], %{session | wanted: Map.drop(session.wanted, ids)}}
+    do: {[], %{session | subscriptions: Map.drop(session.subscriptions, ids)}}
 
   defp handle_op(session, "getParameters", %{"parameterNames" => names} = message)
        when is_list(names),
@@ -103,13 +105,15 @@ defmodule Situ.Bridge.Foxglove.Session do
        when is_list(list) do
     {frames, session} = collect_frames(list, session, &set_parameter/2)
     names = for %{"name" => name} <- list, name in @parameters, do: name
-    answer = if message["id"], do: [parameter_values(session, names, message)], else: []
-    {frames ++ answer ++ parameter_updates(session, names), session}
+    reply = if message["id"], do: [parameter_values(session, names, message)], else: []
+    {frames ++ reply ++ parameter_updates(session, names), session}
   end
 
   defp handle_op(session, "subscribeParameterUpdates", %{"parameterNames" => names})
        when is_list(names),
-       do: {[], %{session | watched: Enum.into(known_parameters(names), session.watched)}}
+       do:
+         {[],
+          %{session | watched_names: Enum.into(known_parameters(names), session.watched_names)}}
 
   defp handle_op(session, "unsubscribeParameterUpdates", %{"parameterNames" => names})
        when is_list(names),
@@ -117,7 +121,8 @@ defmodule Situ.Bridge.Foxglove.Session do
          {[],
           %{
             session
-            | watched: MapSet.difference(session.watched, MapSet.new(known_parameters(names)))
+            | watched_names:
+                MapSet.difference(session.watched_names, MapSet.new(known_parameters(names)))
           }}
 
   defp handle_op(session, op, _message),
@@ -142,12 +147,12 @@ defmodule Situ.Bridge.Foxglove.Session do
         {[Wire.encode_status(2, "the channel id #{inspect(channel, limit: 5)} does not exist")],
          session}
 
-      is_map_key(session.wanted, id) ->
+      is_map_key(session.subscriptions, id) ->
         {[Wire.encode_status(2, "the subscription id #{id} is already in use")], session}
 
       true ->
         at = session.playback.at
-        {frames, session} = latest_frames(put_in(session.wanted[id], {channel, at}), id)
+        {frames, session} = latest_frames(put_in(session.subscriptions[id], {channel, at}), id)
         {frames, session}
     end
   end
@@ -158,7 +163,7 @@ defmodule Situ.Bridge.Foxglove.Session do
        session}
 
   defp latest_frames(session, id) do
-    {channel, at} = session.wanted[id]
+    {channel, at} = session.subscriptions[id]
     session.source |> StoreChannels.latest_message(channel, at) |> message_frames(session, id)
   end
 
@@ -171,9 +176,11 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   # An error is reported once per subscription, even if it repeats.
   defp warn_once(session, id, why) do
-    if id in session.warned,
+    if id in session.warned_ids,
       do: {[], session},
-      else: {[Wire.encode_status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
+      else:
+        {[Wire.encode_status(1, why)],
+         %{session | warned_ids: MapSet.put(session.warned_ids, id)}}
   end
 
   # Parameters serve clients that do not support playback control.
@@ -195,7 +202,8 @@ defmodule Situ.Bridge.Foxglove.Session do
     )
   end
 
-  defp parameter_value(%{playback: p}, "situ.paused"), do: %{name: "situ.paused", value: p.paused}
+  defp parameter_value(%{playback: p}, "situ.paused"),
+    do: %{name: "situ.paused", value: p.paused?}
 
   defp parameter_value(%{playback: p}, "situ.speed"),
     do: %{name: "situ.speed", value: p.speed, type: "float64"}
@@ -227,16 +235,16 @@ defmodule Situ.Bridge.Foxglove.Session do
        ], session}
 
   defp parameter_updates(session, names) do
-    case Enum.filter(names, &(&1 in session.watched)) do
+    case Enum.filter(names, &(&1 in session.watched_names)) do
       [] -> []
       names -> [parameter_values(session, names, %{})]
     end
   end
 
   defp control_playback(%{sdk?: true} = session, command, speed, seek, id) do
-    {sought, session} = if seek, do: seek_playback(session, seek), else: {[], session}
+    {seek_frames, session} = if seek, do: seek_playback(session, seek), else: {[], session}
     {frames, session} = apply_command(session, command, speed)
-    {[playback_state(session.playback, seek != nil, id) | sought ++ frames], session}
+    {[playback_state(session.playback, seek != nil, id) | seek_frames ++ frames], session}
   end
 
   defp control_playback(session, _command, _speed, _seek, _id),
@@ -263,11 +271,13 @@ defmodule Situ.Bridge.Foxglove.Session do
   # Every subscriber receives the latest message at the new position, and continues from there.
   defp seek_playback(session, time) do
     playback = Playback.seek(session.playback, time)
-    wanted = Map.new(session.wanted, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
+
+    subscriptions =
+      Map.new(session.subscriptions, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
 
     collect_frames(
-      Map.keys(wanted),
-      %{session | playback: playback, wanted: wanted},
+      Map.keys(subscriptions),
+      %{session | playback: playback, subscriptions: subscriptions},
       &latest_frames(&2, &1)
     )
   end
@@ -277,8 +287,8 @@ defmodule Situ.Bridge.Foxglove.Session do
   """
   @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
   def tick(session, now) do
-    {news, session} = refresh_source(session, now)
-    before = Playback.status(session.playback)
+    {channel_frames, session} = refresh_source(session, now)
+    status = Playback.status(session.playback)
     playback = advance_playback(session, now)
     {messages, session} = take_due_messages(%{session | playback: playback})
 
@@ -287,8 +297,8 @@ defmodule Situ.Bridge.Foxglove.Session do
         message_frames([message], session, id)
       end)
 
-    time = if before == :playing, do: [Wire.encode_time(session.playback.at)], else: []
-    {news ++ frames ++ time ++ report_end(session, before), session}
+    time = if status == :playing, do: [Wire.encode_time(session.playback.at)], else: []
+    {channel_frames ++ frames ++ time ++ report_end(session, status), session}
   end
 
   defp advance_playback(%{source: %{live?: true}} = session, _now) do
@@ -297,17 +307,20 @@ defmodule Situ.Bridge.Foxglove.Session do
     %{
       session.playback
       | to: to,
-        at: if(session.playback.paused, do: session.playback.at, else: to)
+        at: if(session.playback.paused?, do: session.playback.at, else: to)
     }
   end
 
   defp advance_playback(session, now), do: Playback.advance(session.playback, now)
 
   defp refresh_source(session, now) do
-    if session.looked == nil or (session.source.live? and now - session.looked >= @look_every),
-      do:
-        advertise_channels(%{session | source: StoreChannels.refresh(session.source), looked: now}),
-      else: {[], session}
+    if session.refreshed_at == nil or
+         (session.source.live? and now - session.refreshed_at >= @refresh_ns),
+       do:
+         session.source
+         |> StoreChannels.refresh()
+         |> then(&advertise_channels(%{session | source: &1, refreshed_at: now})),
+       else: {[], session}
   end
 
   defp report_end(%{sdk?: true} = session, :playing) do
@@ -321,7 +334,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   # Messages are sent in order of time. If there are too many, the playback advances only to the last one sent.
   defp take_due_messages(%{playback: %{at: at}} = session) do
     {lists, ends} =
-      session.wanted
+      session.subscriptions
       |> Enum.map(fn {id, {channel, from}} ->
         {messages, all?} = StoreChannels.messages_between(session.source, channel, from, at)
 
@@ -330,31 +343,33 @@ defmodule Situ.Bridge.Foxglove.Session do
       end)
       |> Enum.unzip()
 
-    reached = Enum.min([at | ends])
+    limit = Enum.min([at | ends])
 
-    {messages, reached} =
-      lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(reached)
+    {messages, limit} =
+      lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(limit)
 
-    wanted =
-      Map.new(session.wanted, fn {id, {channel, from}} -> {id, {channel, max(from, reached)}} end)
+    subscriptions =
+      Map.new(session.subscriptions, fn {id, {channel, from}} ->
+        {id, {channel, max(from, limit)}}
+      end)
 
-    {messages,
-     %{session | wanted: wanted, playback: Playback.rewind_to(session.playback, reached)}}
+    playback = Playback.rewind_to(session.playback, limit)
+    {messages, %{session | subscriptions: subscriptions, playback: playback}}
   end
 
-  defp limit_messages(messages, reached) do
+  defp limit_messages(messages, limit) do
     messages
-    |> Enum.take_while(&(elem(&1, 0) <= reached))
+    |> Enum.take_while(&(elem(&1, 0) <= limit))
     |> Enum.reduce_while({[], 0, nil}, fn {time, _, {_, result}} = message,
-                                          {taken, bytes, last} ->
+                                          {selected, bytes, last} ->
       # Messages with the same time are sent together.
-      if bytes > @most_at_once and time != last,
-        do: {:halt, {taken, :full, last}},
-        else: {:cont, {[message | taken], bytes + message_size(result), time}}
+      if bytes > @max_tick_bytes and time != last,
+        do: {:halt, {selected, :full, last}},
+        else: {:cont, {[message | selected], bytes + message_size(result), time}}
     end)
     |> case do
-      {taken, :full, last} -> {Enum.reverse(taken), last}
-      {taken, _bytes, _last} -> {Enum.reverse(taken), reached}
+      {selected, :full, last} -> {Enum.reverse(selected), last}
+      {selected, _bytes, _last} -> {Enum.reverse(selected), limit}
     end
   end
 

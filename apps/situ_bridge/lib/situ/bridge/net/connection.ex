@@ -5,18 +5,20 @@ defmodule Situ.Bridge.Net.Connection do
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.SendQueue
 
-  @admission 5_000
+  @admission_ms 5_000
   # The maximum number of bytes that a client may send before it is admitted, or in one message afterwards. The
   # connection of a client that sends more is closed.
-  @most_said 65_536
+  @max_bytes 65_536
 
   def start_link(server, outbox, protocol),
     do: GenServer.start_link(__MODULE__, {server, outbox, protocol})
 
   @impl true
   def init({server, outbox, protocol}) do
-    Process.send_after(self(), :too_slow, @admission)
-    {:ok, %{tcp: nil, server: server, outbox: outbox, protocol: protocol, said: "", open?: false}}
+    Process.send_after(self(), :too_slow, @admission_ms)
+
+    {:ok,
+     %{tcp: nil, server: server, outbox: outbox, protocol: protocol, buffer: "", open?: false}}
   end
 
   @impl true
@@ -33,15 +35,15 @@ defmodule Situ.Bridge.Net.Connection do
   end
 
   def handle_info({:tcp, _tcp, bytes}, state)
-      when byte_size(bytes) + byte_size(state.said) > @most_said,
+      when byte_size(bytes) + byte_size(state.buffer) > @max_bytes,
       do: {:stop, {:shutdown, :noise}, state}
 
   def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
-    do: admit_client(%{state | said: state.said <> bytes})
+    do: admit_client(%{state | buffer: state.buffer <> bytes})
 
   def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
-    case module.heard(state.said <> bytes, arg) do
-      {:ok, answer, rest} -> send_reply(answer, %{state | said: rest})
+    case module.handle_bytes(state.buffer <> bytes, arg) do
+      {:ok, reply, rest} -> send_reply(reply, %{state | buffer: rest})
       :close -> {:stop, {:shutdown, :closed}, state}
     end
   end
@@ -52,9 +54,9 @@ defmodule Situ.Bridge.Net.Connection do
   def handle_info(:too_slow, state), do: {:stop, {:shutdown, :too_slow}, state}
 
   defp admit_client(%{protocol: {module, arg}} = state) do
-    case module.admit(state.said, arg) do
-      {:ok, answer, rest} ->
-        with {:noreply, state} <- send_reply(answer, %{state | said: rest, open?: true}) do
+    case module.admit(state.buffer, arg) do
+      {:ok, reply, rest} ->
+        with {:noreply, state} <- send_reply(reply, %{state | buffer: rest, open?: true}) do
           send(state.server, {:open, self()})
           {:noreply, state}
         end
@@ -62,14 +64,14 @@ defmodule Situ.Bridge.Net.Connection do
       :more ->
         send_reply("", state)
 
-      {:refuse, answer} ->
-        :gen_tcp.send(state.tcp, answer)
+      {:refuse, reply} ->
+        :gen_tcp.send(state.tcp, reply)
         {:stop, {:shutdown, :refused}, state}
     end
   end
 
-  defp send_reply(answer, state) do
-    case answer == "" || :gen_tcp.send(state.tcp, answer) do
+  defp send_reply(reply, state) do
+    case reply == "" || :gen_tcp.send(state.tcp, reply) do
       {:error, reason} ->
         {:stop, {:shutdown, reason}, state}
 

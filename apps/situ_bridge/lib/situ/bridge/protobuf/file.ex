@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Protobuf.File do
   use Situ.Component, inputs: [in: :any], options: @write
 
   @chunk 65_536
-  @told 1_000
+  @progress_interval 1_000
 
   @doc "Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
@@ -78,30 +78,30 @@ defmodule Situ.Bridge.Protobuf.File do
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def save(messages, path, opts) do
     {progress, opts} = Keyword.pop(opts, :progress, fn _ -> :ok end)
-    unfinished = path <> ".unfinished"
-    {:ok, state} = init(Situ.Options.validate!([path: unfinished] ++ opts, @write))
+    temporary = path <> ".unfinished"
+    {:ok, state} = init(Situ.Options.validate!([path: temporary] ++ opts, @write))
     {[], state} = handle_start(nil, state)
 
     {state, n} =
       Enum.reduce(messages, {state, 0}, fn message, {state, n} ->
         {[], state} = handle_message(:in, message, nil, state)
-        if rem(n + 1, @told) == 0, do: progress.(n + 1)
+        if rem(n + 1, @progress_interval) == 0, do: progress.(n + 1)
         {state, n + 1}
       end)
 
     close_file(state)
-    for ending <- [".desc", ""], do: rename_file!(unfinished <> ending, path <> ending)
+    for suffix <- [".desc", ""], do: rename_file!(temporary <> suffix, path <> suffix)
     {:ok, n}
   rescue
     error in Error ->
-      for ending <- [".desc", ""], do: File.rm(path <> ".unfinished" <> ending)
+      for suffix <- [".desc", ""], do: File.rm(path <> ".unfinished" <> suffix)
       {:error, error}
   end
 
-  defp rename_file!(unfinished, path),
+  defp rename_file!(temporary, path),
     do:
       with(
-        {:error, reason} <- File.rename(unfinished, path),
+        {:error, reason} <- File.rename(temporary, path),
         do: raise(Delimited.io_error(path, reason))
       )
 
@@ -153,15 +153,15 @@ defmodule Situ.Bridge.Protobuf.File do
   end
 
   defp load_schema!(path, opts) do
-    beside = path <> ".desc"
+    definition_path = path <> ".desc"
 
     schema =
       cond do
         opts[:definition] ->
           Error.unwrap!(Protobuf.parse_schema(opts[:definition]))
 
-        File.regular?(beside) ->
-          beside |> File.read!() |> Protobuf.parse_schema() |> Error.unwrap!()
+        File.regular?(definition_path) ->
+          definition_path |> File.read!() |> Protobuf.parse_schema() |> Error.unwrap!()
 
         true ->
           Messages.load_schema()

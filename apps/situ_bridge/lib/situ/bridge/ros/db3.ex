@@ -22,10 +22,14 @@ defmodule Situ.Bridge.Ros.Db3 do
   alias Situ.Store.{StreamInfo, Undecoded}
 
   # Stands in for a message that another program deleted after the file was opened.
-  @gone %Undecoded{codec: "cdr", bytes: "", reason: "the message was deleted from the file"}
+  @deleted_message %Undecoded{
+    codec: "cdr",
+    bytes: "",
+    reason: "the message was deleted from the file"
+  }
 
   # Maximum size of the messages in one batch, in bytes.
-  @most 16 * 1024 * 1024
+  @max_batch 16 * 1024 * 1024
 
   defstruct [:path, :name, :tracks, :streams, :notes]
 
@@ -43,12 +47,12 @@ defmodule Situ.Bridge.Ros.Db3 do
          {:ok, definitions} <- read_definitions(path),
          {:ok, rows} <-
            Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
-      places =
+      positions =
         rows |> Enum.flat_map(&parse_position/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
       tracks =
         for topic <- topics,
-            track = build_track(topic, definitions, places, opts[:messages]),
+            track = build_track(topic, definitions, positions, opts[:messages]),
             do: track
 
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
@@ -85,10 +89,14 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   # Files from before Iron contain no definitions.
   defp read_definitions(path) do
-    there = "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
-    all = "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
+    table_sql =
+      "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
 
-    with {:ok, [_]} <- Sqlite.query(path, there), {:ok, rows} <- Sqlite.query(path, all) do
+    definitions_sql =
+      "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
+
+    with {:ok, [_]} <- Sqlite.query(path, table_sql),
+         {:ok, rows} <- Sqlite.query(path, definitions_sql) do
       {:ok,
        for(
          [type, "ros2msg", hex] <- rows,
@@ -102,13 +110,13 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_track([id, topic, type, format], definitions, places, messages) do
+  defp build_track([id, topic, type, format], definitions, positions, messages) do
     case Integer.parse(id) do
       {id, ""} ->
-        plain = Definition.strip_kind(type)
+        name = Definition.strip_kind(type)
 
         schema =
-          case {definitions, Library.fetch(plain, :ros2)} do
+          case {definitions, Library.fetch(name, :ros2)} do
             {%{^type => text}, _} when text != "" -> {type, "ros2msg", text}
             {_, {:ok, text}} -> {type, "ros2msg", text}
             _ -> nil
@@ -117,12 +125,12 @@ defmodule Situ.Bridge.Ros.Db3 do
         {codec, situ, note} = Codec.new(format, schema, topic)
         codec = Codec.set_message_mode(codec, messages)
 
-        rows = Map.get(places, id, [])
+        rows = Map.get(positions, id, [])
 
         %{
           id: id,
           topic: topic,
-          type: plain,
+          type: name,
           codec: codec,
           situ: situ,
           note: note,
@@ -137,7 +145,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_track(_other, _definitions, _places, _messages), do: nil
+  defp build_track(_other, _definitions, _positions, _messages), do: nil
 
   # Takes originating times from the headers of messages that begin with one.
   defp put_stamps(tracks, path, :header) do
@@ -255,16 +263,16 @@ defmodule Situ.Bridge.Ros.Db3 do
         {:ok, [], ordinal}
 
       opts[:envelopes] && not track.stamps? ->
-        found = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
-        {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
+        data_by_id = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
+        {:ok, build_messages(rows, ordinal, track, data_by_id), ordinal + length(rows)}
 
       true ->
-        with {:ok, found} <- fetch_messages(state, track, rows, opts[:envelopes] == true),
-             do: {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
+        with {:ok, data_by_id} <- fetch_messages(state, track, rows, opts[:envelopes] == true),
+             do: {:ok, build_messages(rows, ordinal, track, data_by_id), ordinal + length(rows)}
     end
   end
 
-  defp take_batch([row | rows], bytes) when bytes < @most,
+  defp take_batch([row | rows], bytes) when bytes < @max_batch,
     do: [row | take_batch(rows, bytes + elem(row, 2))]
 
   defp take_batch(_rows, _bytes), do: []
@@ -275,10 +283,10 @@ defmodule Situ.Bridge.Ros.Db3 do
     column = if envelopes?, do: "''", else: "hex(data)"
     sql = "select id, timestamp, #{column} from messages where id in (#{ids})"
 
-    with {:ok, found} <- Sqlite.query(state.path, sql) do
+    with {:ok, data_by_id} <- Sqlite.query(state.path, sql) do
       {:ok,
        for(
-         [id, recorded, hex] <- found,
+         [id, recorded, hex] <- data_by_id,
          [id, recorded] <- parse_numbers([id, recorded]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
@@ -287,9 +295,9 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_messages(rows, ordinal, track, found) do
+  defp build_messages(rows, ordinal, track, data_by_id) do
     for {{time, id, _}, n} <- Enum.with_index(rows, ordinal) do
-      {recorded, data} = Map.get(found, id, {time, @gone})
+      {recorded, data} = Map.get(data_by_id, id, {time, @deleted_message})
       recorded = if track.stamps?, do: recorded, else: time
 
       %Message{

@@ -6,32 +6,32 @@ defmodule Situ.Bridge.Ros.SlaveCall do
   alias Situ.Bridge.Ros.XmlRpc
   alias Situ.Bridge.WebSocket.Handshake
 
-  @patience 10_000
-  @most 1_000_000
+  @timeout_ms 10_000
+  @max_bytes 1_000_000
 
   @doc "Starts a process that handles one call with `fun`, which gets a method and its arguments."
   def start_link(fun), do: GenServer.start_link(__MODULE__, fun)
 
   @impl true
-  def init(fun), do: {:ok, %{fun: fun, said: ""}, @patience}
+  def init(fun), do: {:ok, %{fun: fun, buffer: ""}, @timeout_ms}
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
     :inet.setopts(tcp, active: :once)
-    {:noreply, state, @patience}
+    {:noreply, state, @timeout_ms}
   end
 
   def handle_info({:tcp, tcp, bytes}, state) do
-    said = state.said <> bytes
+    buffer = state.buffer <> bytes
 
-    case parse_body(said) do
+    case parse_body(buffer) do
       {:ok, body} ->
         :gen_tcp.send(tcp, build_reply(body, state.fun))
         {:stop, :normal, state}
 
-      :more when byte_size(said) <= @most ->
+      :more when byte_size(buffer) <= @max_bytes ->
         :inet.setopts(tcp, active: :once)
-        {:noreply, %{state | said: said}, @patience}
+        {:noreply, %{state | buffer: buffer}, @timeout_ms}
 
       _ ->
         {:stop, :normal, state}
@@ -48,8 +48,8 @@ defmodule Situ.Bridge.Ros.SlaveCall do
       {:ok, "ab"}
   """
   @spec parse_body(binary()) :: {:ok, binary()} | :more | :error
-  def parse_body(said) do
-    with [head, rest] <- :binary.split(said, "\r\n\r\n"),
+  def parse_body(buffer) do
+    with [head, rest] <- :binary.split(buffer, "\r\n\r\n"),
          [_ | lines] <- String.split(head, "\r\n"),
          {n, ""} when n >= 0 <-
            Integer.parse(Handshake.parse_headers(lines)["content-length"] || "") do

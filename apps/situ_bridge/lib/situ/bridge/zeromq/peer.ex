@@ -6,31 +6,31 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   alias Situ.Bridge.ZeroMQ.Wire
 
   # The time limit of the handshake, ms.
-  @handshake 5_000
+  @handshake_ms 5_000
 
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
   @impl true
   def init(opts) do
-    begun = %{
+    initial = %{
       tcp: nil,
       phase: :greeting,
       buffer: "",
-      pieces: %ReceiveBuffer{},
+      receive_buffer: %ReceiveBuffer{},
       parts: [],
       waiting: 0
     }
 
-    state = Map.merge(begun, Map.new(opts))
+    state = Map.merge(initial, Map.new(opts))
 
     if state.address, do: send(self(), :connect)
-    Process.send_after(self(), :too_slow, @handshake)
+    Process.send_after(self(), :too_slow, @handshake_ms)
     {:ok, state}
   end
 
   @impl true
   def handle_info(:connect, %{address: {host, port}} = state) do
-    case :gen_tcp.connect(host, port, tcp_options(), @handshake) do
+    case :gen_tcp.connect(host, port, tcp_options(), @handshake_ms) do
       {:ok, tcp} -> begin_handshake(tcp, state)
       {:error, reason} -> {:stop, {:shutdown, {:unreachable, reason}}, state}
     end
@@ -44,12 +44,13 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
     missing = if state.phase == :open, do: Wire.missing_bytes(state.buffer), else: 1
 
-    with {:ok, bytes, pieces} <- ReceiveBuffer.add_bytes(state.pieces, bytes, missing),
-         state = %{state | buffer: state.buffer <> bytes, pieces: pieces},
+    with {:ok, bytes, receive_buffer} <-
+           ReceiveBuffer.add_bytes(state.receive_buffer, bytes, missing),
+         state = %{state | buffer: state.buffer <> bytes, receive_buffer: receive_buffer},
          {:ok, state} <- handle_buffer(state) do
       {:noreply, arm_socket(state)}
     else
-      {:more, pieces} -> {:noreply, arm_socket(%{state | pieces: pieces})}
+      {:more, receive_buffer} -> {:noreply, arm_socket(%{state | receive_buffer: receive_buffer})}
       {:error, why} -> {:stop, {:shutdown, {:refused, why}}, state}
     end
   end
@@ -63,7 +64,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     do: {:stop, {:shutdown, {:refused, "the handshake timed out"}}, state}
 
   def handle_info({:send, bytes}, state) do
-    case SendQueue.flush(state.queued, state.tcp, bytes) do
+    case SendQueue.flush(state.send_queue, state.tcp, bytes) do
       :ok -> {:noreply, state}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end
@@ -85,7 +86,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   defp arm_socket(%{tcp: nil} = state), do: state
 
   defp arm_socket(state) do
-    if :atomics.get(state.untaken, 1) < state.high_water_mark,
+    if :atomics.get(state.unread, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 
@@ -128,14 +129,14 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
 
   defp handle_buffer(%{phase: :open} = state) do
     with {:ok, events, parts, rest} <-
-           Wire.parse_events(state.buffer, state.parts, state.type, state.most) do
+           Wire.parse_events(state.buffer, state.parts, state.type, state.max_bytes) do
       messages = for {:message, frames} <- events, do: frames
 
       for {kind, prefix} when kind != :message <- events,
           do: send(state.socket, {:peer, self(), {kind, prefix}})
 
       if messages != [] do
-        :atomics.add(state.untaken, 1, length(messages))
+        :atomics.add(state.unread, 1, length(messages))
         send(state.owner, {:zeromq, messages})
       end
 
