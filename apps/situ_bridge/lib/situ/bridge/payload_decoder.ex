@@ -80,5 +80,6 @@ defmodule Situ.Bridge.PayloadDecoder do
   @spec describe_counts(t()) :: String.t()
   def describe_counts(decoder),
     do:
-      "#{decoder.emitted} messages, #{decoder.unreadable} unreadable, #{decoder.late} not later than the previous message"
+      "#{decoder.emitted} messages, #{decoder.unreadable} unreadable, " <>
+        "#{decoder.late} not later than the previous message"
 end

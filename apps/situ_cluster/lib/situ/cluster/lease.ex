@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Lease do
   @moduledoc false
-  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `judge_reading/3` is
-  # pure.
+  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly.
+  # `judge_reading/3` is pure.
   #
   # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
   # by the observer's own clock. A reading that took longer than a lease, or that is late, gives no information about

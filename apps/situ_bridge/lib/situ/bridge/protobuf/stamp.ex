@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Protobuf.Stamp do
     Enum.find(@default_paths, &time_field?(schema, type, &1)) ||
       raise no_time_error(
               type,
-              "none of #{Enum.map_join(@default_paths, ", ", fn path -> Enum.join(path, ".") end)} exists as a time field"
+              "none of #{Enum.map_join(@default_paths, ", ", &Enum.join(&1, "."))} exists as a time field"
             )
   end
 
