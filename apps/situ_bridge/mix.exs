@@ -13,7 +13,7 @@ defmodule Situ.Bridge.MixProject do
   def application do
     Situ.MixApp.application([:crypto, :inets, :ssl, :public_key],
       env: [
-        store_readers: [
+        recording_formats: [
           Situ.Bridge.Psi,
           Situ.Bridge.Mcap,
           Situ.Bridge.Ros.Bag,

@@ -10,7 +10,7 @@ defmodule Situ.Dataset.MixProject do
   def application do
     Situ.MixApp.application([:crypto],
       env: [
-        store_readers: [Situ.Dataset.JsonStore],
+        recording_formats: [Situ.Dataset.JsonStore],
         dataset_tasks: [Situ.Dataset.Task.Statistics, Situ.Dataset.Task.DropStreams]
       ]
     )

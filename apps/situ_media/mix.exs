@@ -14,7 +14,7 @@ defmodule Situ.Media.MixProject do
     Situ.MixApp.application([],
       mod: {Situ.Media.Application, []},
       env: [
-        store_readers: [Situ.Media.Recording, Situ.Media.Wav.Recording],
+        recording_formats: [Situ.Media.Recording, Situ.Media.Wav.Recording],
         dataset_tasks: [Situ.Media.Task.AudioToWav, Situ.Media.Task.EncodeImages]
       ]
     )

@@ -12,7 +12,7 @@ defmodule Situ.Space.MixProject do
 
   def application do
     Situ.MixApp.application([],
-      env: [store_readers: [Situ.Space.GeometryFile, Situ.Space.Gpx, Situ.Space.Robot.Urdf]]
+      env: [recording_formats: [Situ.Space.GeometryFile, Situ.Space.Gpx, Situ.Space.Robot.Urdf]]
     )
   end
 end

@@ -11,6 +11,6 @@ defmodule Situ.Store.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([], env: [store_readers: [Situ.Store.Csv]])
+    Situ.MixApp.application([], env: [recording_formats: [Situ.Store.Csv]])
   end
 end

@@ -9,7 +9,7 @@ Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__
 Code.require_file("plugin_fixture.exs", __DIR__)
 Code.require_file("map_fixture.exs", __DIR__)
 Code.require_file("mask_fixture.exs", __DIR__)
-alias Situ.Studio.{History, Source}
+alias Situ.Studio.{History, Recordings}
 
 [work | _] = System.argv()
 {:ok, _} = Application.ensure_all_started(:situ_studio)
@@ -73,14 +73,14 @@ tasks = Application.get_env(:situ_dataset, :dataset_tasks)
 Application.put_env(:situ_dataset, :dataset_tasks, [Fixture.Loudness | tasks])
 
 sources = %{
-  "memory" => {Source.History, Fixture.minute()},
-  "empty" => {Source.History, History.new(live: false)},
-  "walk" => {Source.History, MapFixture.walk()},
-  "masked" => {Source.History, MaskFixture.found()},
-  "gaze" => {Source.History, PluginFixture.gaze()},
-  "space-frames" => {Source.History, SpaceFixture.frames()},
-  "space-broken" => {Source.History, SpaceFixture.broken()},
-  "space-big" => {Source.History, SpaceFixture.big(3_000_000)}
+  "memory" => Recordings.History.wrap(Fixture.minute()),
+  "empty" => Recordings.History.wrap(History.new(live: false)),
+  "walk" => Recordings.History.wrap(MapFixture.walk()),
+  "masked" => Recordings.History.wrap(MaskFixture.found()),
+  "gaze" => Recordings.History.wrap(PluginFixture.gaze()),
+  "space-frames" => Recordings.History.wrap(SpaceFixture.frames()),
+  "space-broken" => Recordings.History.wrap(SpaceFixture.broken()),
+  "space-big" => Recordings.History.wrap(SpaceFixture.big(3_000_000))
 }
 
 # A live pipeline: 30 numbers per second, with an image and a level computed from each.
@@ -209,7 +209,7 @@ for i <- 1..60 do
   Fixture.put(log, "Diagnostics", Fixture.t0() + i * 1_000_000_000, 0, %{seen | edges: edges}, i)
 end
 
-sources = Map.put(sources, "factory-log", {Source.History, log})
+sources = Map.put(sources, "factory-log", Recordings.History.wrap(log))
 layouts = Path.join(work, "layouts")
 plugins = PluginFixture.folder(work)
 

@@ -52,7 +52,9 @@ defmodule Situ.LinkTest.Links do
     {:ok, _} =
       Situ.Pipeline.run(fn p ->
         store = Store.create(p, "copy", root)
-        p |> open(port, {:after, Path.join(root, "copy")}) |> read() |> Store.write(store, "n")
+        numbers = p |> open(port, {:after, Path.join(root, "copy")}) |> read()
+        numbers |> Situ.first() |> Situ.each(fn _n -> say("copying") end)
+        Store.write(numbers, store, "n")
       end)
 
     say("ended")

@@ -535,7 +535,7 @@ defmodule Situ do
 
   ## Values
 
-  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` propagates), or `nil` (no
+  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (as in IEEE 754; `:nan` propagates), or `nil` (no
   value). `nil` adds 0 to a sum, and is ignored by everything else except the count. If all values are `nil`, the
   result is `nil` (for a sum: 0). Integers stay integers in sums, minimum and maximum; averages and deviations are
   floats.
@@ -783,8 +783,8 @@ defmodule Situ do
 
   ## Samples
 
-  Samples are numbers as in `Situ.Number`. `:nan` and infinities propagate, as in `sum/2`. In a median (`denoise/2`) or
-  a finite filter, they affect the output while they are among the samples in use. In an infinite filter and in
+  Samples are numbers, `:nan`, `:infinity` or `:neg_infinity`, which propagate as in `sum/2`. In a median (`denoise/2`)
+  or a finite filter, they affect the output while they are among the samples in use. In an infinite filter and in
   `one_euro/2`, where each output feeds into the next, they affect all later outputs. `nil` (no value) is passed through
   and does not change the filter's state; the same applies to ticks between a number and `nil`. Any other value is an
   error, `:not_a_number`.

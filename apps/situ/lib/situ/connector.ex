@@ -14,7 +14,7 @@ defmodule Situ.Connector do
       ...> end, [])
       iex> :ok = Situ.Connector.await_open(connector, :infinity)
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
-      ...>   p |> Situ.source(Situ.Connector.Once, data: 42) |> Situ.Connector.send(connector)
+      ...>   p |> Situ.from_enumerable([42], every: 1) |> Situ.Connector.send(connector)
       ...> end)
       iex> receive do {:got, n} -> n end
       42

@@ -5,10 +5,10 @@ defmodule Situ.Diagnostics do
   The numbers come from shared counters and from the VM's process table. Components are not queried, so stuck
   components are visible, too.
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Component.Empty) end)
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.from_enumerable(p, [1], every: 1, name: "Numbers") end)
       iex> [node] = report.snapshot.nodes
       iex> {node.path, node.kind, node.state}
-      {"Empty", :source, :closed}
+      {"Numbers", :source, :closed}
   """
   alias Situ.Graph
   alias Situ.Diagnostics.{Snapshot, Table, Trace, Window}

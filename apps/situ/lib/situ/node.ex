@@ -8,9 +8,13 @@ defmodule Situ.Node do
     * `module`: the component's module, or `:operator`
     * `inputs`, `outputs`: keyword lists of name and type
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty) end)
-      iex> report.result.path
-      "Empty"
+      iex> defmodule Nothing do
+      ...>   use Situ.Component
+      ...>   def handle_start(context, state), do: {[{:complete, context.start_time}], state}
+      ...> end
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Nothing) end)
+      iex> {report.result.path, report.result.inputs}
+      {"Nothing", []}
   """
   @enforce_keys [:pipeline, :id, :path, :module, :inputs, :outputs]
   defstruct [:pipeline, :id, :path, :module, :inputs, :outputs]

@@ -49,9 +49,9 @@ defmodule Situ.Pipeline do
   `new/1` opens an empty pipeline in state `:building`. Add components to it from any process, then call `launch/1`:
 
       iex> p = Situ.Pipeline.new()
-      iex> node = Situ.Pipeline.add(p, Situ.Component.Empty)
-      iex> node.path
-      "Empty"
+      iex> numbers = Situ.from_enumerable(p, 1..3, every: 1, name: "Numbers")
+      iex> numbers.name
+      "Numbers"
       iex> {:ok, _report} = Situ.Pipeline.stop(p)
       iex> {:error, error} = Situ.Pipeline.stop(p)
       iex> error.code

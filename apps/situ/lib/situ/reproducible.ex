@@ -61,8 +61,8 @@ defmodule Situ.Reproducible do
   Interpolates linearly between the messages before and after. There is no value before the first message or after the
   last one.
 
-  Numbers are as in `Situ.Number`: with `:nan` on either side the result is `:nan`, with `nil` on either side there is
-  no value, and any other value is an error.
+  Values are numbers, `:nan`, `:infinity` or `:neg_infinity`. With `:nan` on either side the result is `:nan`. With
+  `nil` on either side there is no value, and any other value is an error.
 
   `max_span:` allows no value between neighbours that are this far apart (ns) or farther.
   """

@@ -6,6 +6,7 @@ defmodule Situ.PipelineTest do
   doctest Situ.Delivery
   doctest Situ.Clock
   doctest Situ.Diagnostics
+  doctest Situ.Diagnostics.Snapshot
 
   alias Situ.Fixture.Count
   alias Situ.Pipeline

@@ -1,30 +1,40 @@
 defmodule Situ.Assistant do
+  @moduledoc """
+  A voice assistant that listens for its name, recognizes a sentence, detects the intent, acts, and replies aloud. The
+  user can interrupt a reply.
+
+      microphone = Situ.Media.Microphone.open(p)
+      assistant = Situ.Assistant.attach(microphone, wake: "computer")
+      Situ.Media.Speaker.play(assistant.sound)
+
+  It understands "what time is it", "what day is it", "set a timer for five minutes", "cancel the timer", "stop", and
+  similar sentences. `grammar:` adds commands of the program, and with `chat:`, all other sentences go to a language
+  model. `attach/2` returns a map of streams:
+
+  | key | type | content |
+  |---|---|---|
+  | `:voice` | boolean | whether somebody is speaking |
+  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | recognized sentences, and partial results |
+  | `:intent` | `Situ.Intent` | detected intents |
+  | `:said` | string | the assistant's replies, at the time of the decision |
+  | `:chat` | string | the replies of the language model; `nil` without `chat:` |
+  | `:sound` | `Situ.AudioBuffer` | the spoken replies, in chunks for playback |
+  | `:speaking` | boolean | whether the assistant is speaking |
+  | `:stop` | string | the words of a user who interrupts the assistant |
+
+  The microphone may pick up the assistant's own voice. The input is therefore attenuated during playback (`duck:`),
+  so that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
+  safeguard, words that the assistant has just spoken are neither commands nor interruptions.
+  """
+
+  alias Situ.Assistant.{Dialogue, Interruption, Player}
+
+  @dialogue Keyword.delete(Dialogue.options(), :ask)
   @own [
-    wake: [
-      type: {:optional, :string},
-      default: "computer",
-      doc: "The assistant's name; with `nil` it responds to every sentence."
-    ],
-    attention: [
-      type: :time_ns,
-      default: 8_000_000_000,
-      doc: "How long the name may be omitted after the name or a reply, ns."
-    ],
-    grammar: [
-      type: {:optional, :string},
-      default: nil,
-      doc:
-        "Additional commands: a grammar (`Situ.Intent.Grammar`) or its file; their intents are emitted on `:intent`."
-    ],
     chat: [
       type: {:optional, :keyword},
       default: nil,
       doc: "Options of `Situ.Chat`, the language model for sentences that no rule matches."
-    ],
-    local_time: [
-      type: {:fun, 1},
-      default: &Situ.Assistant.Dialogue.local_time/1,
-      doc: "Converts a time (ns) to the local date and time of the assistant."
     ],
     pause: [
       type: :time_ns,
@@ -47,37 +57,10 @@ defmodule Situ.Assistant do
     synthesizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechSynthesizer`."]
   ]
 
-  @moduledoc """
-  A voice assistant that listens for its name, recognizes a sentence, detects the intent, acts, and replies aloud. The
-  user can interrupt a reply.
+  @schema @dialogue ++ @own
 
-      microphone = Situ.Media.Microphone.open(p)
-      assistant = Situ.Assistant.attach(microphone, wake: "computer")
-      Situ.Media.Speaker.play(assistant.sound)
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-  It knows the time, the date and timers (`Situ.Assistant.Skills`). If `chat:` is given, other sentences go to a
-  language model. The result is a map of streams:
-
-  | key | type | content |
-  |---|---|---|
-  | `:voice` | boolean | whether somebody is speaking |
-  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | recognized sentences, and partial results |
-  | `:intent` | `Situ.Intent` | detected intents |
-  | `:said` | string | the assistant's replies, at the time of the decision |
-  | `:sound` | `Situ.AudioBuffer` | the spoken replies, in chunks for playback |
-  | `:speaking` | boolean | whether the assistant is speaking |
-  | `:stop` | string | the words of a user who interrupts the assistant |
-
-  The microphone may pick up the assistant's own voice. The input is therefore attenuated during playback (`duck:`),
-  so that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
-  safeguard, words that the assistant has just spoken are neither commands nor interruptions
-  (`Situ.Assistant.EchoDetector`).
-
-  ## Options
-
-  #{Situ.Options.docs(@own)}
-  """
-  alias Situ.Assistant.{Dialogue, Interruption, Player}
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
   alias Situ.AudioStream.Ducker
   alias Situ.{Node, Pipeline, Stream}
@@ -90,7 +73,7 @@ defmodule Situ.Assistant do
   @doc "Attaches an assistant to a stream of 16 kHz mono audio."
   @spec attach(Stream.t(), keyword()) :: streams()
   def attach(%Stream{} = sound, opts \\ []) do
-    opts = Situ.Options.validate!(opts, @own)
+    opts = Situ.Options.validate!(opts, @schema)
     ducker = Pipeline.add(sound.pipeline, Ducker, by: opts[:duck], name: "Ducker")
     Pipeline.connect(sound, ducker, :in)
 
@@ -109,8 +92,7 @@ defmodule Situ.Assistant do
           [name: "SpeechRecognizer"]
       )
 
-    settings =
-      Keyword.take(opts, [:wake, :attention, :grammar, :local_time]) ++ [ask: opts[:chat] != nil]
+    settings = Keyword.take(opts, Keyword.keys(@dialogue)) ++ [ask: opts[:chat] != nil]
 
     dialogue = Situ.via([heard: heard.out], Dialogue, settings ++ [name: "Dialogue"])
 

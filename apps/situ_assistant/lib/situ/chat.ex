@@ -1,4 +1,36 @@
 defmodule Situ.Chat do
+  @moduledoc """
+  Asks a language model, using any local or remote service that implements OpenAI's protocol.
+
+      answers = Situ.via([in: questions], Situ.Chat, model: "llama3.2", system: "Answer in one sentence.")
+      answers.text |> Situ.each(&IO.write/1)
+
+  Input `:in` is a user's text (a string), a `Situ.Chat.Turn` (with images), or a whole conversation (a list of turns).
+  A message on `:cancel` ends the questions in flight: their connections are closed, and the text received so far
+  becomes the answer.
+
+  | output | content | time |
+  |---|---|---|
+  | `:text` | the answer in chunks, as they arrive | the question's time, one nanosecond later for each |
+  | `:calls` | the model's tool calls, each when it is complete | likewise |
+  | `:out` | the complete answer, `Situ.Chat.Answer` | the question's time |
+  | `:failed` | a `Situ.Error`, with `failures: :emit` | the question's time |
+
+  A tool call is a struct with the `id` of the call, the `name` of the tool, its `arguments` (a map with string keys,
+  empty if they are not valid JSON), and `raw`, the arguments as the model wrote them.
+
+  An answer has the time of its question, so it can be joined with other data of that time. The message's latency is
+  the time that the answer took. While `concurrency` questions are in flight, the component accepts no more, and its
+  producer waits.
+
+  Programs without pipelines can call `ask/2`.
+
+  ## Errors
+
+  `:budget_spent`, `:too_many_calls` (the model calls tools in more than `rounds:` requests), `:chat_failed`,
+  #{Situ.Infer.Service.describe_errors()}.
+  """
+
   @own [
     system: [
       type: {:optional, :string},
@@ -41,33 +73,6 @@ defmodule Situ.Chat do
   ]
   @schema @own ++ Situ.Chat.Model.schema()
 
-  @moduledoc """
-  Asks a language model, using any local or remote service that implements OpenAI's protocol.
-
-      answers = Situ.via([in: questions], Situ.Chat, model: "llama3.2", system: "Answer in one sentence.")
-      answers.text |> Situ.each(&IO.write/1)
-
-  Input `:in` is a user's text (a string), a `Situ.Chat.Turn` (with images), or a whole conversation (a list of turns).
-  A message on `:cancel` ends the questions in flight: their connections are closed, and the text received so far
-  becomes the answer.
-
-  | output | content | time |
-  |---|---|---|
-  | `:text` | the answer in chunks, as they arrive | the question's time, one nanosecond later for each |
-  | `:calls` | the model's tool calls, `Situ.Chat.ToolCall` | likewise |
-  | `:out` | the complete answer, `Situ.Chat.Answer` | the question's time |
-  | `:failed` | a `Situ.Error`, with `failures: :emit` | the question's time |
-
-  An answer has the time of its question, so it can be joined with other data of that time. The message's latency is
-  the time that the answer took. While `concurrency` questions are in flight, the component accepts no more, and its
-  producer waits.
-
-  Programs without pipelines can call `ask/2`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: :any, cancel: {:any, optional: true}],
     outputs: [
@@ -93,7 +98,8 @@ defmodule Situ.Chat do
   ]
 
   @doc """
-  Asks one question and waits for the answer. Accepts the options above, except options that concern streams.
+  Asks one question and waits for the answer. The options are those of the component; those that concern streams
+  (`remember:`, `concurrency:`, `budget:`, `failures:`) have no effect.
 
       {:ok, answer} = Situ.Chat.ask("Who painted the Night Watch?", model: "llama3.2")
   """

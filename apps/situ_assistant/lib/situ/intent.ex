@@ -11,8 +11,8 @@ defmodule Situ.Intent do
       iex> {Situ.Intent.name(intent), Situ.Intent.entity(intent, "minutes")}
       {"timer", "25"}
 
-  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.LanguageModel` (a
-  language model). On streams, use `Situ.Intent.Detector`.
+  `Situ.Intent.Grammar` detects intents with a grammar, and `Situ.Intent.LanguageModel` with a language model. On
+  streams, use `Situ.Intent.Detector` with either of them.
   """
 
   @enforce_keys [:query]

@@ -1,15 +1,16 @@
 defmodule Situ.CLI do
-  @moduledoc """
-  The `situ` command line: finds the verb, parses its arguments, runs it and returns an exit status.
-
-      $ bin/situ --help
-      $ bin/situ store info recordings/lobby.0000
-
-  Exit status: 0 success; 1 the command failed and reported why on standard error, or found damage or differences;
-  2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
-
-  Verbs are tables (`Situ.CLI.Verb`), which `situ completion` and `situ manual` use as well.
-  """
+  @moduledoc false
+  # The `situ` command line: finds the verb, parses its arguments, runs it and returns an exit
+  # status.
+  #
+  #     $ bin/situ --help
+  #     $ bin/situ store info recordings/lobby.0000
+  #
+  # Exit status: 0 success; 1 the command failed and reported why on standard error, or found
+  # damage or differences; 2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed
+  # it.
+  #
+  # Verbs are tables (`Situ.CLI.Verb`), which `situ completion` and `situ manual` use as well.
   alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
 
   # Plug-ins add file readers and tasks to these commands.

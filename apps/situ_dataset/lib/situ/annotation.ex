@@ -27,6 +27,7 @@ defmodule Situ.Annotation do
   |---|---|
   | describe attributes, their values, colours and keys | `Situ.Annotation.Schema` |
   | store, edit and check the annotations of a stream | `Situ.Annotation.Layer` |
+  | change several annotations together | `Situ.Annotation.Edit` |
   | undo and redo, keep unsaved edits through a crash | `Situ.Annotation.Editor` |
   | read them from and write them to a recording | `Situ.Annotation.Recording` |
   | derive them from a stream of booleans or maps | `Situ.Annotation.Segmenting` |

@@ -1,7 +1,6 @@
 defmodule Situ.Dataset do
   @moduledoc """
-  Represents the dataset of a study: sessions with their recordings (partitions), metadata and tags. It is stored in
-  one JSON file that people may edit.
+  Represents the dataset of a study: sessions with their recordings (partitions), metadata and tags.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-dataset")
       iex> {:ok, dataset} = Situ.Dataset.new("Study", file: Path.join(folder, "study.json"), autosave: true)
@@ -16,11 +15,11 @@ defmodule Situ.Dataset do
       iex> File.rm_rf!(folder) != []
       true
 
-  `open/1` accepts a dataset file (`Situ.Dataset.FileFormat`), a `.pds` file of \\psi, a folder of recordings, or one
-  recording. A dataset is a plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved
-  atomically before it returns; otherwise `unsaved?` is true. Edits that another program has saved are never
-  overwritten: `save/1` returns an error in this case, and `update/2` edits the current content of the file.
-  `Situ.Dataset.Server` is a process that shares a dataset between several users and notifies them of changes.
+  `open/1` accepts a dataset file, a `.pds` file of \\psi, a folder of recordings, or one recording. A dataset is a
+  plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved atomically before it returns;
+  otherwise `unsaved?` is true. Edits that another program has saved are never overwritten: `save/1` returns an error in
+  this case, and `update/2` edits the current content of the file. `Situ.Dataset.Server` is a process that shares a
+  dataset between several users and notifies them of changes.
 
   | to | see |
   |---|---|
@@ -28,6 +27,19 @@ defmodule Situ.Dataset do
   | replay a session in a pipeline | `Situ.Dataset.Importer` |
   | get spans, sizes, counts | `summary/1`, `Situ.Dataset.Session.summary/1`, `Situ.Dataset.Partition.summary/1` |
   | find missing or damaged recordings | `troubles/1` |
+  | run a pipeline over every session | `derive/3` |
+
+  ## The dataset file
+
+  A dataset file is JSON that people may edit:
+
+      {"version": 1, "name": "Study", "tags": [], "metadata": {},
+       "sessions": [
+         {"name": "p01", "tags": ["pilot"], "metadata": {"participant": "P01"},
+          "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
+
+  Paths are relative to the file and use forward slashes, so the file and its recordings can be moved together. Saving
+  keeps unknown fields of the file. `priv/schema/dataset.schema.json` of this app describes all fields.
   """
   # A dataset is a value and a JSON file, not a process or a database, because people edit it and
   # move it together with the recordings. Partitions are names and relative paths, and a recording
@@ -108,7 +120,7 @@ defmodule Situ.Dataset do
   """
   @spec open(Path.t(), keyword()) :: result()
   def open(path, opts \\ []) do
-    path = Situ.Store.Formats.expand_path(path)
+    path = Situ.Recording.Formats.expand_path(path)
 
     cond do
       Situ.Store.exists?(path) ->
@@ -120,7 +132,7 @@ defmodule Situ.Dataset do
       FileFormat.dataset_file?(path) ->
         load(path, opts)
 
-      File.regular?(path) and Situ.Store.Formats.for_file(path) != nil ->
+      File.regular?(path) and Situ.Recording.Formats.for_file(path) != nil ->
         build_dataset(Discovery.from_recording(path))
 
       true ->
@@ -355,8 +367,11 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Stores the checksum of every recording in the dataset (`Situ.Dataset.Checksum`; reads all bytes). Option:
-  `progress:`, which is called as `fun.(done, total)`.
+  Stores a checksum over all bytes of every recording in the dataset, so that the data can be verified years later.
+  Option: `progress:`, which is called as `fun.(done, total)`.
+
+  A checksum is `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by name).
+  Lock files and the marks of running writers are excluded.
   """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do
@@ -369,7 +384,7 @@ defmodule Situ.Dataset do
   def list_partitions(%__MODULE__{sessions: sessions}),
     do: Enum.flat_map(sessions, & &1.partitions)
 
-  @doc "Stores the checksums that `Situ.Dataset.Checksum.compute_all/2` returned in the partitions with the same paths."
+  @doc "Stores checksums, a map from paths to checksums, in the partitions with these paths. `seal/2` computes them."
   @spec put_checksums(t(), %{Path.t() => String.t()}) :: result()
   def put_checksums(%__MODULE__{} = dataset, checksums) do
     sessions =
@@ -396,17 +411,46 @@ defmodule Situ.Dataset do
   @doc """
   Runs a pipeline over every session and adds its output to each as a new partition.
 
+      loudness = fn _p, importer, exporter ->
+        importer
+        |> Situ.Dataset.Importer.stream("Level")
+        |> Situ.map(&abs/1)
+        |> Situ.Store.write(exporter, "Loudness")
+      end
+
       {:ok, dataset, report} =
-        Situ.Dataset.derive(dataset, Study.Loudness, output: "Loudness", parallel: 2,
+        Situ.Dataset.derive(dataset, loudness, output: "Loudness", parallel: 2,
           progress: fn progress -> IO.write("\\r\#{round(100 * progress.done)} %") end)
 
-      Situ.Dataset.Derivation.Report.failures(report)
+  `compute` is a function of the pipeline, the session's `Situ.Dataset.Importer` and a store to write to (`nil` without
+  `output:`), or a module with `build/2`, whose options contain `importer:`, `exporter:` and `session:` in addition to
+  the options in `options:`.
 
   Returns the updated dataset, even if sessions failed or the run was cancelled. A dataset with a file is saved after
-  every session. `Situ.Dataset.Derivation` describes how to write the pipeline and how a killed run is resumed. Errors
-  before the run starts: `:partition_exists`, `:no_session`.
+  every session. Errors before the run starts: `:partition_exists`, `:no_session`.
+
+  A session's output gets its final name only when it is complete. A failed session leaves no output, and the other
+  sessions continue. A cancelled run keeps the completed sessions. The next run of the same output resumes a run that
+  was killed, cancelled or had failures, and runs only the remaining sessions. A journal next to the dataset file
+  (`FILE.OUTPUT.run`) records which sessions were started and completed.
 
   #{Options.docs(Derivation.options())}
+
+  ## The report
+
+  The report has the fields `output`, `duration` (ns), `cancelled?` and `results`, one map for each session that was
+  started, in the order of the sessions:
+
+  | key | meaning |
+  |---|---|
+  | `session` | the session's name |
+  | `status` | `:done`, `:kept` (completed by an earlier, interrupted run), `:failed` or `:cancelled` |
+  | `error` | the `Situ.Error` of a failed session, or `nil` |
+  | `result` | the return value of `compute` |
+  | `took` | the time in ns |
+
+  `progress:` receives `done` (0.0 to 1.0, sessions weighted by their duration), `finished` of `total` sessions, and
+  `running`, a list of `{session, fraction}`.
   """
   @spec derive(t(), Derivation.Job.compute(), keyword()) ::
           {:ok, t(), Derivation.Report.t()} | {:error, Error.t()}

@@ -1,4 +1,22 @@
 defmodule Situ.Query do
+  @moduledoc """
+  Finds the intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
+
+      session = Situ.Dataset.OpenSession.open(session)
+      {:ok, found} = Situ.Query.run(session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
+      found.intervals
+      #=> [{1700000012000000000, 1700000013500000000}, ...]
+
+  Names are streams: plain (`vad`), in backticks (`` `Lobby.Speaking` ``) or with the partition (`` `[Room]:Level`
+  ``). A stream has the value of its latest message, and no value before its first message. `latency(S)` is that
+  message's latency and `age(S)` is the time since that message (ns). The value of an annotation stream is a map
+  from the tracks that have an annotation at that time to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
+
+  The expression is evaluated at every message of the named streams, so the result is exact to their times. An
+  interval that is still true at the end ends with the last message. Memory use does not grow with the recording, and
+  `timeout:` limits the time.
+  """
+
   @options [
     from: [type: :integer, doc: "The first originating time (ns) of the span."],
     to: [type: :integer, doc: "The last originating time (ns) of the span."],
@@ -17,26 +35,8 @@ defmodule Situ.Query do
     timeout: [type: :pos_integer, default: 60_000, doc: "Time limit in milliseconds."]
   ]
 
-  @moduledoc """
-  Finds the intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
+  Situ.Options.add_to_moduledoc(__MODULE__, @options)
 
-      {:ok, found} = Situ.Query.run(open_session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
-      found.intervals
-      #=> [{1700000012000000000, 1700000013500000000}, ...]
-
-  Names are streams: plain (`vad`), in backticks (`` `Lobby.Speaking` ``) or with the partition (`` `[Room]:Level`
-  ``). A stream has the value of its latest message, and no value before its first message. `latency(S)` is that
-  message's latency and `age(S)` is the time since that message (ns). The value of an annotation stream is a map
-  from the tracks that have an annotation at that time to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
-
-  The expression is evaluated at every message of the named streams, so the result is exact to their times. An
-  interval that is still true at the end ends with the last message. Memory use does not grow with the recording, and
-  `timeout:` limits the time.
-
-  ## Options
-
-  #{Situ.Options.docs(@options)}
-  """
   alias Situ.Annotation
   alias Situ.Annotation.Recording
   alias Situ.Dataset.OpenSession

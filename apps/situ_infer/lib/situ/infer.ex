@@ -26,22 +26,24 @@ defmodule Situ.Infer do
   | 16 kHz audio | to detect a spoken name | `wake_word/2` |
   | words without punctuation | sentences | `punctuate/2` |
   | text | speech | `Situ.Infer.SpeechSynthesizer` |
-  | text | the user's intent | `Situ.Intent.Detector` |
-  | a question | a language model's answer | `Situ.Chat` |
   | mouths and voice | who is speaking | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
   | the speaker and speech | utterances of one person each | `turns/3` |
+
+  In the app `situ_assistant`, `Situ.Intent.Detector` detects the user's intent in a text, and `Situ.Chat` asks a
+  language model.
 
   Models run in ONNX Runtime, which `bin/setup` installs. Without it, components that need it stop the pipeline with
   `:no_onnxruntime`; the energy detectors keep working.
   """
-  alias Situ.Infer.{ActiveSpeaker, SpeakerTurns, SpeechRecognizer, VoiceActivity}
+  alias Situ.Infer.{ActiveSpeaker, Punctuator, SpeakerTurns, SpeechRecognizer, VoiceActivity}
+  alias Situ.Infer.Speech.WakeWord.{KeywordSpotter, SpotterRecognizer, TranscriptSpotter}
   alias Situ.Stream
 
   # Voices have an interval of 32 ms, so every image has one within 16 ms; the rest tolerates slightly different clocks.
   @near 40_000_000
 
   @doc """
-  Emits a `Situ.Infer.Voice` (probability of speech, and level) every 32 ms. Options: `Situ.Infer.VoiceActivity`.
+  Emits the `probability` of speech and the `level` of the audio every 32 ms. Options: `Situ.Infer.VoiceActivity`.
   """
   @spec voice(Stream.t(), keyword()) :: Stream.t()
   def voice(sound, opts \\ []), do: detect_voice(sound, opts).voice
@@ -59,9 +61,19 @@ defmodule Situ.Infer do
     do: mouths |> join_voice(voice) |> Situ.via(ActiveSpeaker, opts)
 
   @doc """
-  Emits whether somebody is speaking, and also ends speech when another face takes over without a pause. Options:
-  `Situ.Infer.SpeakerTurns`. `heard` contains the outputs of `Situ.Infer.VoiceActivity`, and `who` is the result of
-  `who_speaks/3`.
+  Emits whether somebody is speaking, and also ends speech when another face takes over without a pause, so that each
+  utterance belongs to one person. `heard` contains the outputs of `Situ.Infer.VoiceActivity`, and `who` is the result
+  of `who_speaks/3`.
+
+      heard = Situ.via(sound, Situ.Infer.VoiceActivity)
+      who = Situ.Infer.who_speaks(mouths, heard.voice)
+      inputs = [sound: sound, speaking: Situ.Infer.turns(heard, who)]
+      said = Situ.via(inputs, Situ.Infer.SpeechRecognizer, turns: true)
+
+  Near each change of speaker, one value is `false`: where the voice is weakest. A change is known only after it
+  happens, so values are held back for 2.2 s.
+
+  #{Situ.Options.docs(SpeakerTurns.options())}
   """
   @spec turns(%{atom() => Stream.t()}, Stream.t(), keyword()) :: Stream.t()
   def turns(%{speaking: speaking, voice: voice}, who, opts \\ []) do
@@ -82,11 +94,11 @@ defmodule Situ.Infer do
   @wake_word [
     phrase: [type: :string, required: true, doc: "The name to detect."],
     spotter: [
-      type: :module,
-      default: Situ.Infer.Speech.WakeWord.TranscriptSpotter,
-      doc: "The module that detects the name, a `Situ.Infer.Speech.WakeWord`."
+      type: {:or, [{:in, [:transcript, :keyword]}, :module]},
+      default: :transcript,
+      doc: "How the name is detected (see below), or a module, a `Situ.Infer.Speech.WakeWord`."
     ],
-    options: [type: :keyword, default: [], doc: "Additional options for its `load/1`."],
+    options: [type: :keyword, default: [], doc: "Options of the spotter."],
     voice: [type: :keyword, default: [], doc: "Options of `Situ.Infer.VoiceActivity`."]
   ]
 
@@ -95,14 +107,25 @@ defmodule Situ.Infer do
   of the sentence.
 
   #{Situ.Options.docs(@wake_word)}
+
+  The spotter `:transcript` searches for the name among recognized words, and tolerates about one wrong letter in six.
+  Choose a name that is unlike other words: spelling alone cannot distinguish a misspelled name from a similar word. If
+  similar words occur and the recognizer is accurate, set `alike: 1`. Its options:
+
+  #{Situ.Options.docs(TranscriptSpotter.option_schema())}
+
+  The spotter `:keyword` searches for the sound of the name with PocketSphinx, and needs no ONNX Runtime. Names of three
+  or more syllables, consisting of English words, are more reliable. Its options:
+
+  #{Situ.Options.docs(KeywordSpotter.option_schema())}
   """
   @spec wake_word(Stream.t(), keyword()) :: Stream.t()
   def wake_word(sound, opts) do
     opts = Situ.Options.validate!(opts, @wake_word)
-    own = [spotter: opts[:spotter], phrase: opts[:phrase]] ++ opts[:options]
+    own = [spotter: spotter_module(opts[:spotter]), phrase: opts[:phrase]] ++ opts[:options]
 
     transcribe(sound,
-      recognizer: Situ.Infer.Speech.WakeWord.SpotterRecognizer,
+      recognizer: SpotterRecognizer,
       recognizer_options: own,
       partial: nil,
       voice: opts[:voice],
@@ -110,9 +133,20 @@ defmodule Situ.Infer do
     )
   end
 
-  @doc "Adds punctuation to utterances. Options: `Situ.Infer.Punctuator`."
+  defp spotter_module(:transcript), do: TranscriptSpotter
+  defp spotter_module(:keyword), do: KeywordSpotter
+  defp spotter_module(module), do: module
+
+  @doc """
+  Turns the words of utterances into sentences with capitals, periods and question marks. Some recognizers write only
+  words (PocketSphinx, telephone services); Moonshine already writes sentences.
+
+      heard |> Situ.Infer.punctuate()
+
+  #{Situ.Options.docs(Punctuator.options())}
+  """
   @spec punctuate(Stream.t(), keyword()) :: Stream.t()
-  def punctuate(heard, opts \\ []), do: Situ.via(heard, Situ.Infer.Punctuator, opts)
+  def punctuate(heard, opts \\ []), do: Situ.via(heard, Punctuator, opts)
 
   defp join_voice(mouths, nil),
     do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})

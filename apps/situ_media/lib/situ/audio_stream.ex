@@ -1,7 +1,9 @@
 defmodule Situ.AudioStream do
   @moduledoc """
-  Operators on audio streams. Every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map
-  of streams). `Situ.AudioOps` has the same operations for single buffers.
+  Operators on streams of audio: resample, mix, convert channels, cut into frames, and extract acoustic features.
+
+  Every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map of streams). `Situ.AudioOps`
+  has the same operations for single buffers.
 
       def build(p, _opts) do
         clip = Situ.Media.VideoFile.open(p, "talk1.mp4")
@@ -14,7 +16,7 @@ defmodule Situ.AudioStream do
   All operators also take the common options `name:`, `policy:`, `async:` and `on_error:`.
   """
   alias Situ.Graph.Placement
-  alias Situ.{AudioBuffer, AudioFormat, Error, Operator, AudioOps, Stream}
+  alias Situ.{AudioBuffer, AudioFormat, Error, Operator, AudioOps, Options, Stream}
 
   alias Situ.AudioStream.{
     Analyzer,
@@ -28,7 +30,7 @@ defmodule Situ.AudioStream do
   }
 
   @doc """
-  Resamples the stream to another rate. For `quality:`, see `Situ.AudioStream.Resampler`.
+  Resamples the stream to another rate in frames per second.
 
       iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000), 960)
       iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
@@ -36,6 +38,13 @@ defmodule Situ.AudioStream do
       iex> out = Situ.to_list(resample, times: true)
       iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum()}
       {200_000_000, 3200}
+
+  The filter (libsoxr) has linear phase, and its delay is compensated: frame `k` of the result is `k / rate` after the
+  first input frame. The time of an output buffer is the input time minus the duration that is still inside the filter;
+  the rest follows when the input closes. The sample type and channels do not change. When the input format changes, the
+  filter is flushed and restarted.
+
+  #{Options.docs(Keyword.delete(Resampler.options(), :rate))}
   """
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
   def resample(stream, rate, opts \\ []), do: Situ.via(stream, Resampler, [rate: rate] ++ opts)
@@ -79,7 +88,7 @@ defmodule Situ.AudioStream do
     do: map_buffers(stream, "Gain", &Error.unwrap!(AudioOps.gain(&1, gain)), opts)
 
   @doc """
-  Mixes two streams, aligned by their times (`Situ.AudioStream.Mixer`).
+  Mixes two streams sample by sample, aligned by their times.
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> a = [{2_000_000, Situ.AudioBuffer.from_samples([1, 1], format)}]
@@ -89,13 +98,19 @@ defmodule Situ.AudioStream do
       ...> end)
       iex> Enum.flat_map(mixed, &Situ.AudioBuffer.to_samples/1)
       [1, 11, 10]
+
+  Both streams need the same format. A gap in one stream is silent in the mix, and after one stream has closed, the
+  other continues alone. Where a stream overlaps itself (its times go back), the audio that arrived first is kept.
+  Buffers are emitted up to the time that both streams have reached. A gap in both streams whose silence would take
+  more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that a clock was set.
+
+  #{Options.docs(Mixer.options())}
   """
   @spec mix(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def mix(stream, other, opts \\ []), do: Situ.via([in: stream, other: other], Mixer, opts)
 
   @doc """
-  Cuts the audio into buffers of an exact size, given as `frames:` or `duration:`. `hop:` makes them overlap
-  (`Situ.AudioStream.Reframer`).
+  Cuts the audio into buffers of an exact size, given as `frames:` or `duration:`. `hop:` makes them overlap.
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> sound = &Situ.AudioBuffer.from_samples(&1, format)
@@ -104,17 +119,57 @@ defmodule Situ.AudioStream do
       iex> pairs = Situ.to_list(reframed, times: true)
       iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
       [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
+
+  The time of an output buffer is exact to the sample: the time of the input buffer minus the duration of the audio
+  after the cut. If this time would not be later than the previous buffer (because input times do not agree with input
+  lengths), the buffer is stamped 1 ns after the previous one. When the format changes, the rest of the old format is
+  handled as `tail:` specifies. The time of that last buffer is the end of its audio, without the silence that pads
+  it.
+
+  #{Options.docs(Reframer.options())}
   """
   @spec reframe(Stream.t(), keyword()) :: Stream.t()
   def reframe(stream, opts), do: Situ.via(stream, Reframer, opts)
 
-  @doc "Removes gaps, overlaps and timing jitter (`Situ.AudioStream.Streamline`)."
+  @doc """
+  Makes audio with gaps, overlaps or timing jitter contiguous, by one of these methods:
+
+    * `:unpleat`: times are continuous. When they have drifted from the input times by more than `max_offset`, silence
+      is inserted before a late buffer, or the beginning of an early buffer is cut off.
+    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the previous one,
+      and times do not change.
+    * `:concatenate`: only the times change; they continue from the first buffer, ignoring gaps.
+
+  A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that
+  a clock was set. A change of format is an error, too.
+
+  #{Options.docs(Streamline.options())}
+  """
   @spec streamline(Stream.t(), keyword()) :: Stream.t()
   def streamline(stream, opts \\ []), do: Situ.via(stream, Streamline, opts)
 
   @doc """
-  Extracts acoustic features as a map of streams (`:log_energy`, `:zero_crossing_rate`, ...), see
-  `Situ.AudioStream.Analyzer`.
+  Extracts acoustic features from overlapping frames, as a map of streams:
+
+  | stream | of each frame |
+  |---|---|
+  | `:log_energy` | natural logarithm of the mean square after the window; silence: -92.1 |
+  | `:zero_crossing_rate` | sign changes per sample; an exact 0 breaks a crossing |
+  | `:energy` | sum of power over `start_hz..end_hz` |
+  | `:low_energy`, `:high_energy` | the same up to `low_end_hz`, from `high_start_hz` |
+  | `:entropy` | spectral entropy of `entropy_hz` from `start_hz` on, 0..1 |
+  | `:spectrum` | list of `{re, im}`, bins below half the FFT size, not scaled (with `spectrum: true`) |
+  | `:power` | their squared magnitudes (with `power: true`) |
+  | `:log_mel` | logarithms of the power of `mel_bands` bands, samples scaled to -1..1 |
+  | `:mfcc` | the first `mfcc` cepstral coefficients (orthonormal DCT-II of `:log_mel`) |
+
+  Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the next power of two for
+  the Fourier transform. The time of a frame is the end of its last sample, exact to the sample. If there are several
+  channels, only the first one is used. Integer samples are used unscaled (8 bit: 0..255), and floats are scaled to the
+  16-bit range. The dither is seeded by the frame number, so results do not depend on how the audio was divided into
+  buffers.
+
+  #{Options.docs(Analyzer.options())}
   """
   @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
   def features(stream, opts \\ []), do: Situ.via(stream, Analyzer, opts)
@@ -136,14 +191,14 @@ defmodule Situ.AudioStream do
     features(stream, [dither: 0, mel_bands: bands, mfcc: count] ++ opts).mfcc
   end
 
-  @doc "Measures the level of each buffer, as a stream of `Situ.AudioStream.Level`."
+  @doc "Measures the level of each buffer, as a stream of the structs that `Situ.AudioOps.level/1` returns."
   @spec level(Stream.t(), keyword()) :: Stream.t()
   def level(stream, opts \\ []) do
     Operator.attach(stream, "Level", {:map, &Error.unwrap!(AudioOps.level(&1))}, opts, Level)
   end
 
   @doc """
-  Passes only audio that is louder than the noise, in buffers of 10 ms (`Situ.AudioStream.NoiseGate`).
+  Passes audio that is louder than the noise, and attenuates or mutes the rest.
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> sound = &Situ.AudioBuffer.from_samples(List.duplicate(&1, 20), format)
@@ -151,12 +206,27 @@ defmodule Situ.AudioStream do
       iex> gated = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.noise_gate(attack: 0) end)
       iex> Enum.map(gated, &(&1 |> Situ.AudioBuffer.to_samples() |> List.last()))
       [0, 0, 9_000, 9_000]
+
+  The output has buffers of 10 ms, and the gate decides once per buffer. Two levels prevent flickering, and the volume
+  changes linearly to avoid clicks.
+
+  #{Options.docs(NoiseGate.options())}
   """
   @spec noise_gate(Stream.t(), keyword()) :: Stream.t()
   def noise_gate(stream, opts \\ []),
     do: stream |> reframe(duration: 10_000_000, tail: :keep) |> Situ.via(NoiseGate, opts)
 
-  @doc "Lowers the volume while a stream of booleans is true (`Situ.AudioStream.Ducker`)."
+  @doc """
+  Lowers the volume while a stream of booleans is true, for example of a microphone while the loudspeaker is speaking,
+  or of music while somebody is talking.
+
+  The stream of booleans has at least one message for each change. Each buffer uses the last boolean that has arrived at
+  or before the end of the buffer. In live pipelines a late boolean takes effect when it arrives; in recordings all of
+  them arrive in time. The operator delays nothing, and times and lengths do not change. The volume changes linearly to
+  avoid clicks.
+
+  #{Options.docs(Ducker.options())}
+  """
   @spec duck(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def duck(stream, while, opts \\ []), do: Situ.via([in: stream, while: while], Ducker, opts)
 

@@ -1,7 +1,9 @@
 defmodule Situ.ImageStream do
   @moduledoc """
-  Operators on image streams. Every function takes a stream of `Situ.Image` first and returns a stream. `Situ.ImageOps`
-  has the same operations for single images, with the same names and options. Originating times do not change.
+  Operators on streams of images: resize, crop, convert, filter, draw, measure, encode and decode.
+
+  Every function takes a stream of `Situ.Image` first and returns a stream. `Situ.ImageOps` documents the same
+  operations for single images, with the same names and options. Originating times do not change.
 
       def build(p, _opts) do
         camera = Situ.Media.Camera.open(p, size: {1280, 720})

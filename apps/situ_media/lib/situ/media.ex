@@ -3,7 +3,8 @@ defmodule Situ.Media do
   Images and audio from files, devices and the network.
 
       def build(p, opts) do
-        clip = Situ.Media.open(p, opts[:source])          # "talk1.mp4", "/dev/video0", "rtsp://...", "simulated:talk1.mp4"
+        # "talk1.mp4", "/dev/video0", "rtsp://...", "simulated:talk1.mp4"
+        clip = Situ.Media.open(p, opts[:source])
         clip.video |> Situ.each(&IO.inspect/1)
       end
 
@@ -15,7 +16,24 @@ defmodule Situ.Media do
   | `Situ.Media.Camera`, `Situ.Media.Microphone` | devices | `Situ.Media.Speaker` | devices |
   | `Situ.Media.LiveStream` | the network, simulated devices | | |
 
-  The guide "Files and devices" has examples.
+  ## Media files as recordings
+
+  `Situ.Store.open("talk1.mp4")` opens a media file like a recording with the streams `Video` and `Audio`, and
+  everything that opens recordings supports it: the studio, `situ store info`, and replay in a pipeline.
+
+      {:ok, store} = Situ.Store.open("talk1.mp4")
+      {:ok, message} = Situ.Store.latest_at(store, "Video", Situ.Time.ms(1_500))
+      %Situ.Image{width: 1024, height: 512} = message.data
+
+  Times are those of `Situ.Media.VideoFile`; `reader_opts: [start: time]` replaces the file's own start time. Images
+  are `:bgr24`, and audio has 16 bits, in buffers of 20 ms. Opening lists the file's packets, which takes about half a
+  second, or longer for videos of several hours. Images are decoded on request, so files with a key frame every few
+  seconds are the fastest to scrub. A damaged file returns all readable data, then the error `:damaged_media`. `size`
+  of a stream is the size of its decoded data, and `stored` is the size of its packets.
+
+  Extensions: #{Enum.map_join(Situ.Media.Recording.extensions(), " ", &"`#{&1}`")}.
+
+  The guide "Files and devices" has more examples.
   """
   alias Situ.Media.{Camera, Device, LiveStream, Microphone, VideoFile}
 

@@ -13,6 +13,10 @@ defmodule Situ.Geo do
       iex> {lat, lon, height} = Situ.Geo.from_enu({0.0, 1000.4, -0.08}, ljubljana)
       iex> {Float.round(lat, 4), Float.round(lon, 4), Float.round(height, 1)}
       {46.0604, 14.506, 300.0}
+
+  GPX files (tracks of GPS receivers) open like recordings: `Situ.Store.open("walk.gpx")`. The timestamped points of
+  all tracks become the stream `Track` of `Situ.GeoPoint`s, sorted by time. Other content (way points, routes,
+  extensions) is skipped, and `Situ.Store.info/1` reports the number of points without a time as `untimed`.
   """
   alias Situ.{Error, Quaternion, Vector3}
 

@@ -13,6 +13,24 @@ defmodule Situ.Space do
   | `velocity/2` | `GetLinearVelocity3D`, `ComputeVelocity` |
   | `transform_stream/3` | `Transform`, `TransformBy` |
   | `orientation/2` | (none) |
+
+  ## Files of points and surfaces
+
+  These files open like recordings of one message at time 0: `Situ.Store.open("hill.las")`, `situ studio chair.ply`.
+
+  | extension | content read | stream |
+  |---|---|---|
+  | `.dae` | Collada 1.4 and 1.5: the scene's triangles, in metres and z up, without materials | `Mesh` |
+  | `.glb`, `.gltf` | glTF 2.0 with its files, not compressed: the scene's triangles, without materials | `Mesh` |
+  | `.las`, `.laz` | LAS 1.0 to 1.4, compressed or not, with colours | `Points`: a `Situ.PointCloud` |
+  | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` for files without faces |
+  | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
+  | `.ply` | PLY as text or bytes, with colours, intensity or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
+  | `.stl` | STL as bytes or text | `Mesh` |
+
+  Positions in a LAS file are relative to the lower corner of its bounds, because 32-bit floats cannot represent the
+  coordinates of a whole country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. Files are read
+  into memory and may have up to 2 GB.
   """
   alias Situ.{
     Box3,
@@ -130,8 +148,12 @@ defmodule Situ.Space do
   end
 
   @doc """
-  Converts a stream of readings (`Situ.ImuReading`) to a stream of rotations: quaternions that rotate the sensor's axes
-  to north, west and up. See `Situ.Space.Orientation`.
+  Converts a stream of readings of an inertial sensor (`Situ.ImuReading`) to a stream of rotations: quaternions that
+  rotate the sensor's axes to north (magnetic north, or the initial heading without a magnetometer), west and up.
+
+  The estimator is a complementary filter on the rotation group (R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear
+  Complementary Filters on the Special Orthogonal Group, IEEE TAC 53(5), 2008). It integrates the gyroscope. The
+  direction of gravity, and the horizontal direction of the magnetic field, correct its drift.
 
   #{Situ.Options.docs(Orientation.option_schema())}
   """

@@ -1,17 +1,4 @@
 defmodule Situ.Store do
-  alias Situ.Store.{
-    Columns,
-    Copying,
-    Editing,
-    Exporter,
-    Folder,
-    Formats,
-    Importer,
-    Maintenance,
-    Query,
-    Summary
-  }
-
   @moduledoc """
   Recordings store many streams on disk while a pipeline is running. They can be read by time, by index or live, and
   replayed into a pipeline.
@@ -37,19 +24,40 @@ defmodule Situ.Store do
       iex> Situ.Store.delete(store.path)
       :ok
 
-  An external file (WAV, CSV, MP4 and other media, and every format with a `Situ.Store.Reader`) opens in the same way.
+  An external file (WAV, CSV, MP4 and other media, and every other `Situ.Recording.Format`) opens in the same way.
   Use `Situ.Store.Writer` to write without a pipeline, and `Situ.Store.Summary` to draw timelines. The file format is
-  described in `priv/schema/store.md`.
+  described in `priv/schema/store.md` of this app.
 
   Reading treats files as untrusted: it verifies checksums, creates no atoms or functions from a file, and bounds its
   memory use. Data of a struct that this system does not have becomes a map with the key `"__struct__"`. Bytes of an
   unknown codec become a `Situ.Store.Undecoded`.
   """
-  alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Handle, StreamInfo}
 
-  @type t :: Handle.t()
+  alias Situ.Recording.Formats
+
+  alias Situ.Store.{
+    Columns,
+    Copying,
+    Editing,
+    Exporter,
+    Folder,
+    Importer,
+    Maintenance,
+    Query,
+    Summary
+  }
+
+  alias Situ.{Error, Message, Options}
+  alias Situ.Store.StreamInfo
+
+  @type t :: Situ.Recording.t()
   @type name :: String.t() | StreamInfo.t()
+  @typedoc "A store that a pipeline is writing, as `create/4` returns it."
+  @type exporter :: Exporter.t()
+  @typedoc "A damaged position: the file, the byte offset, and a description of the damage."
+  @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
+  @typedoc "A change of one message, found by its exact originating time."
+  @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
   # Opening
 
@@ -57,6 +65,21 @@ defmodule Situ.Store do
   Opens a store's folder, the newest version of `root/name`, or an external file.
 
   #{Options.docs(Query.open_options())}
+
+  ## CSV files
+
+  One column of a CSV or TSV file contains times, and every other column becomes a stream. Options of `reader_opts:`:
+
+    * `time:` the name or number (0 is the first) of the time column. Default: the first column whose name looks like a
+      time, or else the first column
+    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`. `:auto` detects ISO 8601, and reads numbers in
+      the unit that the column's name contains (`t_ms`, `Timestamp (us)`) or else in seconds
+    * `start:` ns added to every time, default 0
+    * `separator:` default: `,`, `;` or tab, whichever occurs most often in the first line
+
+  Fields that look like numbers are numbers, and all others are strings. A column is `:integer`, `:float` or `:string`,
+  depending on all its fields. An empty field produces no message. Quoting follows RFC 4180. Rows that are invalid or
+  whose time does not increase are skipped and reported as damage by `info/1`.
   """
   @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   defdelegate open(path, opts \\ []), to: Query
@@ -69,7 +92,10 @@ defmodule Situ.Store do
 
   @doc """
   Creates a store that the pipeline records to. Call it during `build`. `path` is the parent folder (the store becomes
-  `path/name.NNNN`), or `nil` for a store in memory. Raises the `Situ.Error` if the store cannot be created.
+  `path/name.NNNN`), or `nil` for a store in memory. The store is closed when the pipeline has completed, whether it
+  succeeded or failed. Raises the `Situ.Error` if the store cannot be created.
+
+  Any process on the machine can read a store in memory while this system is running. It is never written to disk.
 
   An endless recording can be split into segments, of which only the latest are kept:
 
@@ -80,16 +106,19 @@ defmodule Situ.Store do
 
   #{Options.docs(Exporter.create_options())}
   """
-  @spec create(Situ.Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: Exporter.t()
+  @spec create(Situ.Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: exporter()
   defdelegate create(p, name, path, opts \\ []), to: Exporter
 
   @doc """
   Records a stream under `name` and returns the stream. If the stream or the store is `nil`, nothing is recorded and the
   stream is returned unchanged, so optional streams and optional recording need no `if`.
 
+  Messages are collected for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed together. With
+  `durability: :each` (`create/4`), every delivery is on disk before the next is processed.
+
   #{Options.docs(Exporter.write_options())}
   """
-  @spec write(Situ.Stream.t() | nil, Exporter.t() | nil, String.t(), keyword()) ::
+  @spec write(Situ.Stream.t() | nil, exporter() | nil, String.t(), keyword()) ::
           Situ.Stream.t() | nil
   defdelegate write(stream, exporter, name, opts \\ []), to: Exporter
 
@@ -112,7 +141,11 @@ defmodule Situ.Store do
 
   # The store
 
-  @doc "Returns `name`, `created`, `closed?`, `live?`, `damage` and more facts about the store."
+  @doc """
+  Returns facts about the store as a map: `name`, `created` (ns or `nil`), `closed?` (whether its writer finished),
+  `live?` (whether it is being written now), and `damage` (a list of sentences, or of maps with `offset` and `why`).
+  Formats add facts of their own.
+  """
   @spec info(t()) :: map()
   defdelegate info(store), to: Query
 
@@ -163,6 +196,10 @@ defmodule Situ.Store do
 
   @doc """
   Returns the messages of a stream as an `Enumerable` that reads in batches on demand.
+
+  With `type:`, messages are read as structs that may have changed since they were recorded. Every recorded field must
+  still exist, and every new field must have a default (it must not be in `@enforce_keys`); old messages get the
+  defaults. All other differences raise the `Situ.Error` `:schema_mismatch` when reading begins.
 
   #{Options.docs(Query.message_options())}
   """
@@ -266,13 +303,95 @@ defmodule Situ.Store do
   def list(root, opts \\ []),
     do: Folder.list_stores(Path.expand(root), Options.validate!(opts, @list_options)[:recursive])
 
+  @doc """
+  Reads the complete store and verifies all checksums: `{:ok, %{chunks, damage}}`.
+
+  #{Options.docs(Maintenance.verify_options())}
+  """
+  @spec verify(Path.t(), keyword()) ::
+          {:ok, %{chunks: non_neg_integer(), damage: [damage()]}} | {:error, Error.t()}
   defdelegate verify(path, opts \\ []), to: Maintenance
+
+  @doc """
+  Repairs a store that was not closed or is damaged, and returns `{:ok, report}`.
+
+  An intact store that was merely not closed is trimmed and marked as closed. All readable chunks are kept. Data files
+  are not rewritten, except for damaged extent headers. The old index is kept as `index.situ.before-repair`, with a
+  number appended if that file exists.
+
+  | key of the report | meaning |
+  |---|---|
+  | `kept` | chunks in the repaired store |
+  | `dropped` | damaged chunks that were removed |
+  | `recovered` | chunks whose damaged or lost index entries were rebuilt from the data; only chunks that are known to have been committed |
+  | `unconfirmed` | chunks of the last commit of a killed writer that were removed, because without the index there is no evidence that the commit was acknowledged |
+  | `rebuilt?` | whether the index was rebuilt |
+  | `damage` | a list of `t:damage/0` |
+
+  #{Options.docs(Maintenance.repair_options())}
+  """
+  @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   defdelegate repair(path, opts \\ []), to: Maintenance
+
+  @doc "Deletes a store's files, and its folder if it contains nothing else. Fails while the store is being written."
+  @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   defdelegate delete(path), to: Maintenance
+
+  @doc "Renames a store (its folder, keeping the version number): `{:ok, new_path}`."
+  @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   defdelegate rename(path, name), to: Maintenance
+
+  @doc """
+  Copies a store (or an external file) into a new one: `{:ok, path}`.
+
+  `to` is `{name, root}`, or a path whose last part is the name. By default the copy becomes a new version of that
+  name.
+
+  #{Options.docs(Copying.copy_options())}
+  """
+  @spec copy(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
+          {:ok, Path.t()} | {:error, Error.t()}
   defdelegate copy(from, to, opts \\ []), to: Copying
+
+  @doc """
+  Rewrites a store in place: combines many small commits into full chunks, and drops gaps and retracted data. Returns
+  `{:ok, path}`.
+
+  The new store is complete and on disk before the two stores exchange their names in one step. The old store is deleted
+  last. If the program is killed during compaction, the recording keeps its name. On a file system that cannot exchange
+  names, the old store may remain as `NAME.before-compaction`, and `repair/2` restores it. Damage is an error unless
+  `skip_damage: true` is given.
+
+  #{Options.docs(Copying.compact_options())}
+  """
+  @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
   defdelegate compact(path, opts \\ []), to: Copying
+
+  @doc """
+  Copies an interval: `from:` and `to:` (times), or `start:` and `length:`. Takes these options and those of `copy/3`.
+
+  #{Options.docs(Copying.interval_options())}
+  """
+  @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
+          {:ok, Path.t()} | {:error, Error.t()}
   defdelegate crop(from, to, opts), to: Copying
-  defdelegate concat(from, to, opts \\ []), to: Copying
+
+  @doc """
+  Concatenates several stores into one. Streams of the same name are appended in time order. They must have the same
+  type and must not overlap. Takes the options of `copy/3`.
+  """
+  @spec concat([Path.t()], Path.t() | {String.t(), Path.t()}, keyword()) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  defdelegate concat(paths, to, opts \\ []), to: Copying
+
+  @doc """
+  Creates a new store with edits applied by exact originating time. `edits` is a map of stream names to
+  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message at that time or inserts one. Its data must
+  match the stream's type. Everything else is copied unchanged.
+
+  #{Options.docs(Editing.edit_options())}
+  """
+  @spec edit(Path.t(), Path.t() | {String.t(), Path.t()}, %{String.t() => [edit()]}, keyword()) ::
+          {:ok, Path.t()} | {:error, Error.t()}
   defdelegate edit(from, to, edits, opts \\ []), to: Editing
 end

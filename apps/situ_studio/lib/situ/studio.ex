@@ -1,4 +1,26 @@
 defmodule Situ.Studio do
+  @moduledoc """
+  The studio shows recordings and running pipelines in a browser. Start it on the command line with
+  `bin/situ studio PATH`, or as a child of an application:
+
+      children = [{Situ.Studio, path: "recordings", port: 4040}]
+
+  It can also show running pipelines of the same VM:
+
+      {:ok, pipeline} = Lobby.start_link(file: "talk1.mp4")
+      {:ok, studio} = Situ.Studio.start_link(pipelines: [pipeline])
+
+  The studio listens on `127.0.0.1`. If it is configured to listen on another address, browsers need a token; `url/1`
+  returns the address that includes it.
+
+  ## How it works
+
+  The page is a LiveView (`Situ.Live`): a process on the server provides streams, layout and properties. The page
+  itself handles times, the cursor and drawing. Data arrives over one WebSocket, as binary replies to the page's
+  requests (`Situ.Studio.Frame`). At most one request is in flight, so a slow browser sends fewer requests and slows
+  nothing else down. Each visualizer has a module here and one in the page (`Situ.Studio.Visualizer`).
+  """
+
   @schema [
     path: [
       type: {:optional, :string},
@@ -15,13 +37,13 @@ defmodule Situ.Studio do
       type: {:optional, {:fun, 1}},
       default: nil,
       doc:
-        "Finds a recording on another node, `NODE/NAME`: returns its address and the options of its reader " <>
-          "(`Situ.Cluster.Recordings.fetch_address/1`)."
+        "Finds a recording on another node by `NODE/NAME`: returns `{:ok, address, reader_opts}` or an error. " <>
+          "The studio of a cluster sets it."
     ],
     sources: [
       type: :map,
       default: %{},
-      doc: "Other sources by name: `%{\"name\" => {module, handle}}`, see `Situ.Studio.Source`."
+      doc: "Other recordings by name: `%{\"name\" => recording}`, see `Situ.Recording`."
     ],
     port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 selects a free port."],
     ip: [
@@ -47,7 +69,7 @@ defmodule Situ.Studio do
       doc:
         "`certfile:` and `keyfile:` of a certificate, or `:own` to generate one for this " <>
           "machine's names and store it " <>
-          "in the user's configuration folder (`Situ.Link.Certificate`)."
+          "in the user's configuration folder."
     ],
     hosts: [type: :any, default: nil, doc: "Host names that the server accepts; see `Situ.Live`."],
     public: [
@@ -88,32 +110,9 @@ defmodule Situ.Studio do
     ],
     id: [type: :string, default: "studio", doc: "Distinguishes several studios in one VM."]
   ]
-  @moduledoc """
-  The studio shows recordings and running pipelines in a browser. Start it on the command line with
-  `bin/situ studio PATH`, or as a child of an application:
 
-      children = [{Situ.Studio, path: "recordings", port: 4040}]
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-  It can also show running pipelines of the same VM:
-
-      {:ok, pipeline} = Lobby.start_link(file: "talk1.mp4")
-      {:ok, studio} = Situ.Studio.start_link(pipelines: [pipeline])
-
-  The studio listens on `127.0.0.1`. If it is configured to listen on another address, browsers need a token; `url/1`
-  returns the address that includes it.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## How it works
-
-  The page is a LiveView (`Situ.Live`): a process on the server provides streams, layout and properties. The page
-  itself handles times, the cursor and drawing. Data arrives over one WebSocket, as binary replies to the page's
-  requests (`Situ.Studio.DataSession`, `Situ.Studio.Frame`). At most one request is in flight, so a slow browser sends
-  fewer requests and slows nothing else down. Each visualizer has a module here and one in the page
-  (`Situ.Studio.Visualizer`).
-  """
   use Supervisor
 
   alias Situ.Studio.{Alerts, BatchRuns, Catalog, PipelineView, Plugins, Tiles, Web}

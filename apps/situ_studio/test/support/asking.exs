@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Asking do
   @moduledoc false
   # A conversation with a data session about a small history. It reads the replies like the page.
-  alias Situ.Studio.{DataSession, History, Source}
+  alias Situ.Studio.{DataSession, History, Recordings}
 
   def session do
     history = History.new(live: false)
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Asking do
       History.put(history, "image", message(1_000_000_000 + i * 100_000_000, image, i), 24)
     end
 
-    DataSession.new({Source.History, history})
+    DataSession.new(Recordings.History.wrap(history))
   end
 
   # Returns a source with one stream of rows {time, data}.
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Asking do
     for {{t, data}, i} <- Enum.with_index(rows),
         do: History.put(history, stream, message(t, data, i), 8)
 
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
 
   def message(time, data, n),
@@ -78,7 +78,7 @@ defmodule Situ.Studio.Asking do
   end
 
   def put(session, stream, rows) do
-    {_, history} = session.source
+    %{state: history} = session.source
 
     for {{t, data}, i} <- Enum.with_index(rows),
         do: History.put(history, stream, message(t, data, i), 8)

@@ -1,6 +1,9 @@
 defmodule Situ.BinarySize do
-  @moduledoc """
-  Writes sizes in binary patterns for every supported version of Elixir.
+  @moduledoc false
+  # Writes sizes in binary patterns for every supported version of Elixir.
+
+  @doc """
+  Expands to the size of a binary segment. Its variables must be bound before the match.
 
   When the size in a pattern is a variable bound outside the pattern, Elixir before 1.20 expects `size(n)` and later
   versions expect `size(^n)`. The macro `pinned_size/1` expands to the right form:
@@ -11,8 +14,6 @@ defmodule Situ.BinarySize do
       iex> {head, rest}
       {"ab", "cde"}
   """
-
-  @doc "Expands to the size of a binary segment. Its variables must be bound before the match."
   defmacro pinned_size(size)
 
   if Version.match?(System.version(), ">= 1.20.0") do

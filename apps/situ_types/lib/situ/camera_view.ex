@@ -2,6 +2,11 @@ defmodule Situ.CameraView do
   @moduledoc """
   One camera view: an image (`Situ.Image`, `Situ.EncodedImage`, `Situ.DepthImage`) or a point cloud, the
   intrinsics of the camera, and its pose.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {4, 4})
+      iex> view = Situ.CameraView.new(Situ.Image.new_filled(4, 2, :gray8), camera, Situ.Pose.identity())
+      iex> {view.viewed.width, view.intrinsics.principal}
+      {4, {2.0, 1.0}}
   """
   alias Situ.{CameraIntrinsics, Pose}
 

@@ -24,6 +24,17 @@ defmodule Situ.Image do
       {:ok, [0, 0, 255]}
 
   Every operator validates its images again in Rust, including structs built by hand.
+
+  ## Colours
+
+  A colour, for drawing and filling, is one of these:
+
+    * a name: `:black`, `:white`, `:red`, `:green`, `:blue`, `:yellow`, `:cyan`, `:magenta`, `:orange` or `:gray`
+    * `{r, g, b}` or `{r, g, b, a}` with values of 0..255
+    * a list of channel values in the image's memory order
+    * one number for all channels
+
+  Names and tuples work with every format: they are converted to grey for grey images, and widened for 16-bit channels.
   """
   @behaviour Situ.Codec
 
@@ -82,8 +93,7 @@ defmodule Situ.Image do
   def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc """
-  Builds an image of one colour (`Situ.Image.Color`: channel values in memory order, one value for all channels, a
-  name, or `{r, g, b}`).
+  Builds an image of one colour.
 
       iex> Situ.Image.new_filled(2, 1, :bgr24, [1, 2, 3]).data
       <<1, 2, 3, 1, 2, 3>>

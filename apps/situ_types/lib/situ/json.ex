@@ -1,24 +1,11 @@
 defmodule Situ.JSON do
-  @moduledoc """
-  Encodes and decodes JSON with Erlang's `:json` module (OTP 27 and later) or, without it, with jiffy.
-
-  `nil` is `null`, objects are maps with string keys, and decoding never creates atoms. When encoding, bytes that are
-  not valid UTF-8 are replaced by U+FFFD. When decoding, strings that are not valid UTF-8 are rejected.
-
-      iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
-      ...> |> Situ.JSON.decode()
-      {:ok, %{"name" => "Mic.Level", "rate" => 100.0, "type" => nil}}
-
-      iex> Situ.JSON.decode(~s({"open": ))
-      {:error, :bad_json}
-
-  If the order of an object's members matters, use `{[{key, value}]}`, which is an object in that order:
-
-      iex> {:ok, ordered} = Situ.JSON.decode(~s({"b":1,"a":{}}), objects: :pairs)
-      {:ok, {[{"b", 1}, {"a", {[]}}]}}
-      iex> Situ.JSON.encode(ordered)
-      ~s({"b":1,"a":{}})
-  """
+  @moduledoc false
+  # Encodes and decodes JSON with Erlang's `:json` module (OTP 27 and later) or, without it, with
+  # jiffy.
+  #
+  # `nil` is `null`, objects are maps with string keys, and decoding never creates atoms. When
+  # encoding, bytes that are not valid UTF-8 are replaced by U+FFFD. When decoding, strings that
+  # are not valid UTF-8 are rejected.
 
   @type value ::
           nil
@@ -30,7 +17,16 @@ defmodule Situ.JSON do
           | %{optional(atom() | String.t()) => value()}
           | {[{atom() | String.t(), value()}]}
 
-  @doc "Encodes a value on one line. Raises if JSON cannot represent it (tuples, pids, functions)."
+  @doc """
+  Encodes a value on one line. Raises if JSON cannot represent it (tuples, pids, functions).
+
+      iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
+      ...> |> Situ.JSON.decode()
+      {:ok, %{"name" => "Mic.Level", "rate" => 100.0, "type" => nil}}
+
+      iex> Situ.JSON.decode(~s({"open": ))
+      {:error, :bad_json}
+  """
   @spec encode(value()) :: String.t()
   def encode(value), do: value |> to_iodata([]) |> IO.iodata_to_binary()
 
@@ -46,6 +42,13 @@ defmodule Situ.JSON do
   last one is used; with `objects: :pairs`, all members are returned in order.
 
   Numbers of more than #{@most_digits} digits are rejected because parsing them would block the whole node.
+
+  If the order of an object's members matters, use `{[{key, value}]}`, which is an object in that order:
+
+      iex> {:ok, ordered} = Situ.JSON.decode(~s({"b":1,"a":{}}), objects: :pairs)
+      {:ok, {[{"b", 1}, {"a", {[]}}]}}
+      iex> Situ.JSON.encode(ordered)
+      ~s({"b":1,"a":{}})
   """
   @spec decode(binary(), keyword()) :: {:ok, value()} | {:error, :bad_json}
   def decode(text, opts \\ []) when is_binary(text) do

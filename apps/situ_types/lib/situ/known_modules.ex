@@ -1,19 +1,22 @@
 defmodule Situ.KnownModules do
-  @moduledoc """
-  Finds modules by name when the name comes from a recording, a peer or a file.
+  @moduledoc false
+  # Finds modules by name when the name comes from a recording, a peer or a file.
+  #
+  # Only modules that are already loaded or that a loaded application lists can be found. The code
+  # path is never searched, so an outsider cannot cause an arbitrary `.beam` file to be loaded,
+  # and names never become new atoms.
 
-  Only modules that are already loaded or that a loaded application lists can be found. The code path is never
-  searched, so an outsider cannot cause an arbitrary `.beam` file to be loaded, and names never become new atoms.
+  # See docs/adr/0150-names-in-files-mean-listed-modules.md.
+
+  @doc """
+  Loads and returns the module with this full name (`"Elixir.My.Pose"`); `:error` if there is
+  none.
 
       iex> Situ.KnownModules.fetch_module("Elixir.Situ.Message")
       {:ok, Situ.Message}
       iex> {Situ.KnownModules.fetch_module("Elixir.Never.Heard.Of"), Situ.KnownModules.fetch_module(<<255>>)}
       {:error, :error}
   """
-
-  # See docs/adr/0150-names-in-files-mean-listed-modules.md.
-
-  @doc "Loads and returns the module with this full name (`\"Elixir.My.Pose\"`); `:error` if there is none."
   @spec fetch_module(String.t()) :: {:ok, module()} | :error
   def fetch_module(name) do
     with :error <- find_module(name),

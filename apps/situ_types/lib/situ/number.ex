@@ -1,17 +1,9 @@
 defmodule Situ.Number do
-  @moduledoc """
-  Arithmetic on numbers that may be `:nan`, `:infinity` or `:neg_infinity`, following IEEE 754.
-
-  Erlang floats cannot hold these values. Wherever Situ computes with numbers, these atoms represent them, as in Nx.
-  `:nan` propagates. Integers stay exact.
-
-      iex> Situ.Number.add(:infinity, 1)
-      :infinity
-      iex> Situ.Number.add(:infinity, :neg_infinity)
-      :nan
-      iex> Situ.Number.min(3, :nan)
-      :nan
-  """
+  @moduledoc false
+  # Arithmetic on numbers that may be `:nan`, `:infinity` or `:neg_infinity`, following IEEE 754.
+  #
+  # Erlang floats cannot hold these values. Wherever Situ computes with numbers, these atoms
+  # represent them, as in Nx. `:nan` propagates. Integers stay exact.
 
   # See docs/adr/0022-nan-and-infinity-are-atoms.md.
   import Situ.BinarySize, only: [pinned_size: 1]
@@ -22,7 +14,16 @@ defmodule Situ.Number do
   @spec number?(term()) :: boolean()
   def number?(value), do: is_number(value) or value in [:nan, :infinity, :neg_infinity]
 
-  @doc "Adds two numbers; a sum that is too large for a float is infinite."
+  @doc """
+  Adds two numbers; a sum that is too large for a float is infinite.
+
+      iex> Situ.Number.add(:infinity, 1)
+      :infinity
+      iex> Situ.Number.add(:infinity, :neg_infinity)
+      :nan
+      iex> Situ.Number.min(3, :nan)
+      :nan
+  """
   @spec add(t(), t()) :: t()
   def add(a, b) when is_integer(a) and is_integer(b), do: a + b
   def add(a, b) when is_number(a) and is_number(b), do: add_floats(a, b)

@@ -5,7 +5,11 @@ defmodule Situ.Telemetry do
   `:telemetry` itself is not a dependency. Handlers and events have the same form, so a host application that uses it
   can forward events:
 
-      Situ.Telemetry.attach("forward", [:situ, :pipeline, :stop], &:telemetry.execute/3 |> ..., nil)
+      forward = fn event, measurements, metadata, _config ->
+        :telemetry.execute(event, measurements, metadata)
+      end
+
+      Situ.Telemetry.attach("forward", [:situ, :pipeline, :stop], forward, nil)
 
   A handler that raises is detached and logged once, so a broken observer cannot stop a stream.
 

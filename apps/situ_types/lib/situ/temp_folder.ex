@@ -1,9 +1,17 @@
 defmodule Situ.TempFolder do
-  @moduledoc """
-  Creates private folders for unfinished files, inside temporary folders that all users of the machine share.
+  @moduledoc false
+  # Creates private folders for unfinished files, inside temporary folders that all users of the
+  # machine share.
+  #
+  # Each folder is new, has a random name and mode 0700, and belongs to the current user. No other
+  # user can have put a file or link into it, so the files inside may have simple names.
+  alias Situ.Error
 
-  Each folder is new, has a random name and mode 0700, and belongs to the current user. No other user can have put a
-  file or link into it, so the files inside may have simple names.
+  @private 0o700
+
+  @doc """
+  Creates a folder with a random name in `parent` (default: the system's temporary folder). Error:
+  `:no_scratch`.
 
       iex> {:ok, folder} = Situ.TempFolder.create_folder("doc")
       iex> Bitwise.band(File.stat!(folder).mode, 0o777) == 0o700
@@ -11,11 +19,6 @@ defmodule Situ.TempFolder do
       iex> Situ.TempFolder.remove_folder(folder)
       :ok
   """
-  alias Situ.Error
-
-  @private 0o700
-
-  @doc "Creates a folder with a random name in `parent` (default: the system's temporary folder). Error: `:no_scratch`."
   @spec create_folder(String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def create_folder(word, parent \\ System.tmp_dir!()) do
     # The name has 96 random bits, in lower case because some file systems ignore case.

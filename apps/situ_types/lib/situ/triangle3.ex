@@ -1,14 +1,7 @@
 defmodule Situ.Triangle3 do
-  @moduledoc """
-  Calculations on triangles in space, which are tuples of three corners: containment, ray intersection and nearest
-  point. `Situ.Mesh` holds many triangles.
-
-      iex> triangle = {{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}
-      iex> Situ.Triangle3.contains_point?(triangle, {0.5, 0.5, 0.0})
-      true
-      iex> Situ.Triangle3.closest_point(triangle, {-1.0, 1.0, 3.0})
-      {0.0, 1.0, 0.0}
-  """
+  @moduledoc false
+  # Calculations on triangles in space, which are tuples of three corners: containment, ray
+  # intersection and nearest point. `Situ.Mesh` holds many triangles.
   alias Situ.{Ray3, Vector3}
 
   @type t :: {Vector3.t(), Vector3.t(), Vector3.t()}
@@ -20,6 +13,12 @@ defmodule Situ.Triangle3 do
 
   @doc """
   Returns the point of the triangle nearest to `p`. Source: C. Ericson, Real-Time Collision Detection, 2005, 5.1.5.
+
+      iex> triangle = {{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}
+      iex> Situ.Triangle3.contains_point?(triangle, {0.5, 0.5, 0.0})
+      true
+      iex> Situ.Triangle3.closest_point(triangle, {-1.0, 1.0, 3.0})
+      {0.0, 1.0, 0.0}
   """
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point({a, b, c}, p) do

@@ -20,6 +20,7 @@ defmodule Situ.ShapesTest do
 
   doctest Box3
   doctest CameraIntrinsics
+  doctest Situ.CameraView
   doctest Situ.Transform
   doctest Situ.ImuReading
   doctest Mesh

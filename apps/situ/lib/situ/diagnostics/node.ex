@@ -1,15 +1,6 @@
 defmodule Situ.Diagnostics.Node do
-  @moduledoc """
-  One component in a `Situ.Diagnostics.Snapshot`.
-
-    * `id`, `path` (`"Mouth.Crop"`), `scope` (`"Mouth"` or `nil`), `module` (its name as a string, `"Operator"` for
-      light operators)
-    * `kind`: `:source | :component | :operator | :tap`; `state`: `:running | :closed | :failed`
-    * `process`: number of the process that runs it, or `nil` before the start
-    * `inputs`, `outputs`: lists of `%{name, type, stream}`, all strings; `stream` is the stream's name (outputs only)
-    * `errors`, `restarts`, `skipped`: counts; `description`: the last result of the component's `describe/1`, or
-      `nil`
-  """
+  @moduledoc false
+  # One component of a pipeline. `Situ.Diagnostics.Snapshot` documents the fields.
   defstruct [
     :id,
     :path,

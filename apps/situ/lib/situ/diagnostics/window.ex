@@ -1,6 +1,7 @@
 defmodule Situ.Diagnostics.Window do
   @moduledoc false
-  # The traffic of a connection in the last averaging span. `Situ.Diagnostics.Edge` documents the fields.
+  # The traffic of a connection in the last averaging span. `Situ.Diagnostics.Snapshot`
+  # documents the fields.
 
   defstruct span: 0,
             emitted: 0,

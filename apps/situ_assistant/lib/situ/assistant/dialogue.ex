@@ -1,4 +1,15 @@
 defmodule Situ.Assistant.Dialogue do
+  @moduledoc false
+  # Manages the conversation: decides whether a sentence is addressed to the assistant, detects
+  # its intent, and acts.
+  #
+  # Input `:heard` contains recognized utterances (`Situ.Infer.Speech.Utterance`). Outputs are
+  # `:intent` (detected intents), `:said` (replies) and `:ask` (questions for a language model).
+  # Timers use the pipeline's clock.
+  #
+  # The name is matched approximately: about one wrong letter in six is tolerated. Echoes of the
+  # assistant's own speech are ignored.
+
   @schema [
     wake: [
       type: {:optional, :string},
@@ -13,29 +24,18 @@ defmodule Situ.Assistant.Dialogue do
     grammar: [
       type: {:optional, :string},
       default: nil,
-      doc: "An additional grammar with the intents of the surrounding program."
+      doc:
+        "Additional commands: a grammar (`Situ.Intent.Grammar`) or its file; their intents are emitted on `:intent`."
     ],
     ask: [type: :boolean, default: false, doc: "Emit sentences that no rule matches on `:ask`."],
     local_time: [
-      type: {:fun, 1},
-      default: &Situ.Assistant.Dialogue.local_time/1,
-      doc: "Converts a time (ns) to the local date and time of the assistant."
+      type: {:optional, {:fun, 1}},
+      default: nil,
+      doc:
+        "Converts a time (ns) to the assistant's local `{date, time}`; `nil` uses the machine's time zone."
     ]
   ]
 
-  @moduledoc """
-  Manages the conversation: decides whether a sentence is addressed to the assistant, detects its intent, and acts.
-
-  Input `:heard` contains recognized utterances (`Situ.Infer.Speech.Utterance`). Outputs are `:intent` (detected
-  intents), `:said` (replies) and `:ask` (questions for a language model). Timers use the pipeline's clock.
-
-  The name is matched approximately: about one wrong letter in six is tolerated. Echoes of the assistant's own speech
-  are ignored.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [heard: Situ.Infer.Speech.Utterance],
     outputs: [intent: Situ.Intent, said: :string, ask: :string],
@@ -59,10 +59,6 @@ defmodule Situ.Assistant.Dialogue do
     next_timer: 0,
     last_reply: nil
   ]
-
-  @doc "Converts a time to the date and time in this machine's time zone."
-  @spec local_time(Situ.Time.t()) :: :calendar.datetime()
-  def local_time(ns), do: :calendar.system_time_to_local_time(ns, :nanosecond)
 
   @impl true
   def init(opts) do
@@ -105,7 +101,7 @@ defmodule Situ.Assistant.Dialogue do
 
     {actions, state} =
       apply_action(
-        Skills.answer_intent(intent, state.opts.local_time.(time)),
+        Skills.answer_intent(intent, to_local_time(time, state.opts.local_time)),
         text,
         time,
         intent,
@@ -114,6 +110,9 @@ defmodule Situ.Assistant.Dialogue do
 
     {[{:intent, time, intent} | actions], state}
   end
+
+  defp to_local_time(ns, nil), do: :calendar.system_time_to_local_time(ns, :nanosecond)
+  defp to_local_time(ns, convert), do: convert.(ns)
 
   defp detect_intent(text, grammars) do
     Enum.reduce_while(grammars, nil, fn grammar, _ ->

@@ -1,17 +1,7 @@
 defmodule Situ.Assistant.EchoDetector do
-  @moduledoc """
-  Distinguishes a user's speech from the assistant's own voice in the microphone. Words that the assistant is
-  currently speaking count as its own. Pure.
-
-      iex> echo = Situ.Assistant.EchoDetector.new()
-      iex> echo = Situ.Assistant.EchoDetector.add_text(echo, 0, "The timer is set for five minutes.")
-      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "timer set for five minutes")
-      true
-      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "computer, stop")
-      false
-      iex> Situ.Assistant.EchoDetector.own_words?(echo, 10_000_000_000, "timer set for five minutes")
-      false
-  """
+  @moduledoc false
+  # Distinguishes a user's speech from the assistant's own voice in the microphone. Words that the
+  # assistant is currently speaking count as its own. Pure.
   alias Situ.Infer.Speech.Utterance
 
   # The time that a slow voice takes per letter, and the delay that speakers, rooms and microphones add.
@@ -23,7 +13,18 @@ defmodule Situ.Assistant.EchoDetector do
   defstruct texts: []
   @type t :: %__MODULE__{texts: [{until :: Situ.Time.t(), MapSet.t()}]}
 
-  @doc "Returns an empty echo memory."
+  @doc """
+  Returns an empty echo memory.
+
+      iex> echo = Situ.Assistant.EchoDetector.new()
+      iex> echo = Situ.Assistant.EchoDetector.add_text(echo, 0, "The timer is set for five minutes.")
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "timer set for five minutes")
+      true
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "computer, stop")
+      false
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 10_000_000_000, "timer set for five minutes")
+      false
+  """
   @spec new() :: t()
   def new, do: %__MODULE__{}
 

@@ -1,13 +1,12 @@
 defmodule Situ.Assistant.Interruption do
-  @moduledoc """
-  Detects when a user interrupts the assistant. It triggers on the first words that are not the assistant's own
-  (`Situ.Assistant.EchoDetector`) and have lasted half a second. In shorter audio, recognizers find words that nobody
-  said.
-
-  Inputs `:partial` and `:heard` contain recognized utterances (`Situ.Infer.Speech.Utterance`), and `:said` contains the
-  assistant's replies.
-  Output `:out` emits the words once for each utterance, at the time up to which they were heard.
-  """
+  @moduledoc false
+  # Detects when a user interrupts the assistant. It triggers on the first words that are not the
+  # assistant's own (`Situ.Assistant.EchoDetector`) and have lasted half a second. In shorter
+  # audio, recognizers find words that nobody said.
+  #
+  # Inputs `:partial` and `:heard` contain recognized utterances (`Situ.Infer.Speech.Utterance`),
+  # and `:said` contains the assistant's replies. Output `:out` emits the words once for each
+  # utterance, at the time up to which they were heard.
   use Situ.Component,
     inputs: [
       partial: Situ.Infer.Speech.Utterance,

@@ -1,4 +1,14 @@
 defmodule Situ.Assistant.Player do
+  @moduledoc false
+  # Plays audio buffers one after the other in real time, in small chunks, and stops on request.
+  #
+  # Inputs `:in` and `:answers` contain complete audio buffers (all of one format), as
+  # `Situ.Infer.SpeechSynthesizer` emits them with `stamp: :text`. A message on `:stop` ends the
+  # current audio and discards queued audio whose text is older. Output `:out` emits the chunks,
+  # each at its end; `:speaking` emits whether audio is playing, at each change.
+  #
+  # When the inputs end, the remaining audio is emitted immediately.
+
   @schema [
     chunk: [type: :pos_integer, default: 20_000_000, doc: "Length of one chunk, ns."],
     ahead: [
@@ -9,19 +19,6 @@ defmodule Situ.Assistant.Player do
     ]
   ]
 
-  @moduledoc """
-  Plays audio buffers one after the other in real time, in small chunks, and stops on request.
-
-  Inputs `:in` and `:answers` contain complete audio buffers (all of one format), as `Situ.Infer.SpeechSynthesizer`
-  emits them with `stamp: :text`. A message on `:stop` ends the current audio and discards queued audio whose text is
-  older. Output `:out` emits the chunks, each at its end; `:speaking` emits whether audio is playing, at each change.
-
-  When the inputs end, the remaining audio is emitted immediately.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [
       in: Situ.AudioBuffer,

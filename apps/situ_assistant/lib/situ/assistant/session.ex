@@ -1,18 +1,19 @@
 defmodule Situ.Assistant.Session do
-  @moduledoc """
-  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that listens to a microphone or a file. Its options are:
-
-  | option | meaning |
-  |---|---|
-  | `:input` | the name of a microphone, the path of a file, or a function that opens audio in a pipeline |
-  | `:output` | the name of a speaker, a function that plays a stream of audio, or `nil` |
-  | `:path` | the folder of the recording |
-  | `:assistant` | the options of `Situ.Assistant.attach/2` |
-  | `:watcher` | a process that receives `{:talk, key, data, time, creation_time}` for each event, or `nil` |
-
-  Everything is recorded. The recording, `path/Assistant.NNNN`, contains the input audio and the spoken audio, voice
-  activity, the recognized text (partial and final), the intents, the replies, and the pipeline's diagnostics.
-  """
+  @moduledoc false
+  # The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that listens to a microphone or a
+  # file. Its options are:
+  #
+  # | option | meaning |
+  # |---|---|
+  # | `:input` | the name of a microphone, the path of a file, or a function that opens audio in a pipeline |
+  # | `:output` | the name of a speaker, a function that plays a stream of audio, or `nil` |
+  # | `:path` | the folder of the recording |
+  # | `:assistant` | the options of `Situ.Assistant.attach/2` |
+  # | `:watcher` | a process that receives `{:talk, key, data, time, creation_time}` for each event, or `nil` |
+  #
+  # Everything is recorded. The recording, `path/Assistant.NNNN`, contains the input audio and the
+  # spoken audio, voice activity, the recognized text (partial and final), the intents, the
+  # replies, and the pipeline's diagnostics.
   use Situ.Pipeline
   alias Situ.Media.{Microphone, Speaker, VideoFile}
 

@@ -1,13 +1,7 @@
 defmodule Situ.Assistant.Skills do
-  @moduledoc """
-  The assistant's built-in skills: it reports the time and the date, sets and cancels timers, and stops talking. Pure:
-  replies and actions depend only on the intent and the time.
-
-      iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
-      iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
-      iex> Situ.Assistant.Skills.answer_intent(intent, {{2026, 11, 22}, {11, 5, 0}})
-      {:timer, 300_000_000_000, "five minutes", "I set a timer for five minutes."}
-  """
+  @moduledoc false
+  # The assistant's built-in skills: it reports the time and the date, sets and cancels timers,
+  # and stops talking. Pure: replies and actions depend only on the intent and the time.
   alias Situ.Infer.Speech.Number
   alias Situ.Intent
 
@@ -40,7 +34,14 @@ defmodule Situ.Assistant.Skills do
           | :quiet
           | :unknown
 
-  @doc "Returns the grammar of the sentences that these skills understand."
+  @doc """
+  Returns the grammar of the sentences that these skills understand.
+
+      iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
+      iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
+      iex> Situ.Assistant.Skills.answer_intent(intent, {{2026, 11, 22}, {11, 5, 0}})
+      {:timer, 300_000_000_000, "five minutes", "I set a timer for five minutes."}
+  """
   @spec grammar() :: String.t()
   def grammar, do: @grammar
 

@@ -1,7 +1,8 @@
 defmodule Situ.Chat.Answer do
   @moduledoc """
-  The answer of a language model: `text`, the requested tool calls (`calls`), why it ended (`finish`), and the number of
-  tokens read and written (`tokens`). `exact?` is false if the service reported no numbers and they were counted here.
+  The answer of a language model: `text`, the requested tool calls (`calls`, see `Situ.Chat`), why it ended (`finish`),
+  and the number of tokens read and written (`tokens`). `exact?` is false if the service reported no numbers and they
+  were counted here.
 
   `finish` is `:stop`, `:length` (cut off at the maximum length), `:calls` (the model waits for the tools), `:filtered`
   or `:cancelled`.

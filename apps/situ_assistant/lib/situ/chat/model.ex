@@ -1,4 +1,7 @@
 defmodule Situ.Chat.Model do
+  @moduledoc false
+  # A language model on an OpenAI-compatible service (`Situ.Infer.Service`).
+
   @own [
     url: [
       type: :string,
@@ -35,13 +38,6 @@ defmodule Situ.Chat.Model do
   ]
   @schema @own ++ Keyword.drop(Situ.Infer.Service.schema(), [:retries, :most_bytes])
 
-  @moduledoc """
-  A language model on an OpenAI-compatible service (`Situ.Infer.Service`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   alias Situ.Chat.{Answer, ResponseReader, Tool, Turn}
   alias Situ.Error
   alias Situ.Infer.Service

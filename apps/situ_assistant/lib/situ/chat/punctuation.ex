@@ -1,8 +1,15 @@
 defmodule Situ.Chat.Punctuation do
   @moduledoc """
-  Adds punctuation with a language model. If the model changes the words, its output is discarded and
-  `Situ.Infer.Speech.Punctuation.Rules` is used instead. It has the same options and errors as `Situ.Chat`.
+  Adds punctuation with a language model, for `Situ.Infer.punctuate/2`.
+
+      heard |> Situ.Infer.punctuate(punctuation: Situ.Chat.Punctuation, options: [model: "llama3.2"])
+
+  If the model changes the words, its output is discarded, and English rules are used instead. Errors are those of
+  `Situ.Chat`.
   """
+
+  Situ.Options.add_to_moduledoc(__MODULE__, Situ.Chat.Model.schema())
+
   @behaviour Situ.Infer.Speech.Punctuation
   alias Situ.{Chat, Error}
   alias Situ.Infer.Speech.Punctuation.Rules

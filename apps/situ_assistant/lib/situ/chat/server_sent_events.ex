@@ -1,14 +1,10 @@
 defmodule Situ.Chat.ServerSentEvents do
-  @moduledoc """
-  Parses server-sent events (WHATWG HTML, 9.2) from arbitrarily split bytes, and returns the `data` of each event.
-
-      iex> {:ok, [], events} = Situ.Chat.ServerSentEvents.push(Situ.Chat.ServerSentEvents.new(), "data: one\\n")
-      iex> {:ok, data, _} = Situ.Chat.ServerSentEvents.push(events, "\\n: a comment\\n\\ndata: two\\r\\n\\r\\n")
-      iex> data
-      ["one", "two"]
-
-  Lines end with LF, CRLF or CR. A leading byte order mark is skipped. An event of more than 1 MiB is an error.
-  """
+  @moduledoc false
+  # Parses server-sent events (WHATWG HTML, 9.2) from arbitrarily split bytes, and returns the
+  # `data` of each event.
+  #
+  # Lines end with LF, CRLF or CR. A leading byte order mark is skipped. An event of more than 1
+  # MiB is an error.
   @most 1_048_576
 
   # A CR at the end of the bytes may be half of a CRLF, so it ends the line, and an LF directly after it is skipped.
@@ -26,7 +22,14 @@ defmodule Situ.Chat.ServerSentEvents do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Adds `bytes` and returns the data of the events that are now complete, in order."
+  @doc """
+  Adds `bytes` and returns the data of the events that are now complete, in order.
+
+      iex> {:ok, [], events} = Situ.Chat.ServerSentEvents.push(Situ.Chat.ServerSentEvents.new(), "data: one\\n")
+      iex> {:ok, data, _} = Situ.Chat.ServerSentEvents.push(events, "\\n: a comment\\n\\ndata: two\\r\\n\\r\\n")
+      iex> data
+      ["one", "two"]
+  """
   @spec push(t(), binary()) :: {:ok, [binary()], t()} | {:error, :too_long}
   def push(%__MODULE__{cr?: true} = events, "\n" <> bytes),
     do: push(%{events | cr?: false}, bytes)

@@ -1,4 +1,16 @@
 defmodule Situ.Intent.Detector do
+  @moduledoc """
+  Detects intents in a stream of texts or recognized utterances.
+
+      heard = Situ.Infer.transcribe(sound)
+      wanted = Situ.via(heard, Situ.Intent.Detector, recognizer_options: [grammar: "room.gram"])
+
+  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`. Output `:out` is a `Situ.Intent` for each, at its time;
+  its intents are empty if nothing matches. A message on the input `:options` (a keyword list, such as
+  `[grammar: other]`) changes the recognizer's options at run time, effective from its originating time. Invalid options
+  raise an error, and the old options remain in effect.
+  """
+
   @schema [
     recognizer: [
       type: :module,
@@ -12,21 +24,6 @@ defmodule Situ.Intent.Detector do
     ]
   ]
 
-  @moduledoc """
-  Detects intents in a stream of texts or recognized utterances.
-
-      heard = Situ.Infer.transcribe(sound)
-      wanted = Situ.via([in: heard], Situ.Intent.Detector, recognizer_options: [grammar: "room.gram"])
-
-  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`. Output `:out` is a `Situ.Intent` for each, at its time;
-  its intents are empty if nothing matches. A message on the input `:options` (a keyword list, such as `[grammar:
-  other]`) changes the recognizer's options at run time, effective from its originating time. Invalid options raise an
-  error, and the old options remain in effect.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: :any, options: {:any, optional: true}],
     outputs: [out: Situ.Intent],

@@ -1,4 +1,25 @@
 defmodule Situ.Intent.Grammar do
+  @moduledoc """
+  Detects intents with rules: a grammar in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>) with
+  tags.
+
+      #JSGF V1.0; grammar room;
+      public <time>  = what time is it {intent=time} | tell me the time {intent=time};
+      public <light> = turn {intent=light} (on {state=on} | off {state=off}) the light [in the <room> {room}];
+      <room> = kitchen | bed room;
+
+  `{intent=NAME}` sets the intent, and `{KEY=VALUE}` adds an entity. `{KEY}` adds an entity whose value is the matched
+  text, or the number matched by `<NUMBER>`. The intent of a rule without `{intent=...}` is the rule's name. The score
+  is the share of the sentence's words that the rule matches; the rule that matches most words comes first.
+
+  Two rules are built in: `<NUMBER>` matches a number from 0 to 999 in words or digits, and `<WORDS>` matches one or
+  more words of any kind. `import` is not supported.
+
+  ## Errors
+
+  `:bad_grammar` (with the line), `:no_grammar` (the file cannot be read).
+  """
+
   @schema [
     grammar: [
       type: :string,
@@ -17,26 +38,8 @@ defmodule Situ.Intent.Grammar do
     ]
   ]
 
-  @moduledoc """
-  Detects intents with rules: a grammar in JSGF (`Situ.Infer.Speech.Jsgf`) with tags.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      #JSGF V1.0; grammar room;
-      public <time>  = what time is it {intent=time} | tell me the time {intent=time};
-      public <light> = turn {intent=light} (on {state=on} | off {state=off}) the light [in the <room> {room}];
-      <room> = kitchen | bed room;
-
-  `{intent=NAME}` sets the intent, and `{KEY=VALUE}` adds an entity. `{KEY}` adds an entity whose value is the matched
-  text, or the number matched by `<NUMBER>`. The intent of a rule without `{intent=...}` is the rule's name. The score
-  is the share of the sentence's words that the rule matches; the rule that matches most words comes first.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:bad_grammar` (with the line), `:no_grammar` (the file cannot be read).
-  """
   @behaviour Situ.Intent.Recognizer
 
   alias Situ.{Error, Intent}

@@ -1,4 +1,19 @@
 defmodule Situ.Intent.LanguageModel do
+  @moduledoc """
+  Detects intents with a language model: each intent is described as a tool, and the model calls the matching tool.
+
+      timer = %Situ.Chat.Tool{
+        name: "timer",
+        about: "Rings later.",
+        arguments: %{type: "object", properties: %{minutes: %{type: "number"}}}
+      }
+
+      {:ok, model} = Situ.Intent.LanguageModel.load(intents: [timer], model: "llama3.2")
+      {:ok, intent} = Situ.Intent.LanguageModel.detect(model, "wake me in five minutes")
+
+  Only the given names can become intents. Errors are those of `Situ.Chat`.
+  """
+
   @own [
     intents: [
       type: {:list, {:struct, Situ.Chat.Tool}},
@@ -9,20 +24,8 @@ defmodule Situ.Intent.LanguageModel do
   ]
   @schema @own ++ Situ.Chat.Model.schema()
 
-  @moduledoc """
-  Detects intents with a language model: each intent is described as a tool, and the model calls the matching tool.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      timer = %Situ.Chat.Tool{name: "timer", about: "Rings later.",
-        arguments: %{type: "object", properties: %{minutes: %{type: "number"}}}}
-      {:ok, model} = Situ.Intent.LanguageModel.load(intents: [timer], model: "llama3.2")
-      {:ok, intent} = Situ.Intent.LanguageModel.detect(model, "wake me in five minutes")
-
-  Only the given names can become intents. Errors: the errors of `Situ.Chat`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   @behaviour Situ.Intent.Recognizer
   alias Situ.{Chat, Error, Intent}
 

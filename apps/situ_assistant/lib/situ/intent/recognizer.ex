@@ -1,7 +1,9 @@
 defmodule Situ.Intent.Recognizer do
   @moduledoc """
-  Behaviour of recognizers, which detect the intent of a text for `Situ.Intent.Detector`. A grammar and a language model
-  are built in.
+  The behaviour of recognizers, which detect the intent of a text for `Situ.Intent.Detector`.
+
+  `Situ.Intent.Grammar` and `Situ.Intent.LanguageModel` are built in. To add another, implement these callbacks in a
+  module and pass it as `recognizer:`.
   """
 
   @doc "Loads the recognizer. Errors stop the pipeline before its first message."

@@ -40,7 +40,8 @@ defmodule Situ.Bridge.Mcap do
 
   #{Situ.Options.docs(@schema)}
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   @max_bytes 16 * 1024 * 1024
 
@@ -269,7 +270,7 @@ defmodule Situ.Bridge.Mcap do
             size: non_neg_integer()
           }
         ]
-  def list_attachments(%Situ.Store.Handle{state: %__MODULE__{info: info}}) do
+  def list_attachments(%Situ.Recording{state: %__MODULE__{info: info}}) do
     for {name, media_type, time, _offset, size} <- info.attachments,
         do: %{name: name, media_type: media_type, time: time, size: size}
   end
@@ -290,7 +291,7 @@ defmodule Situ.Bridge.Mcap do
             last: Situ.Time.t()
           }
         ]
-  def list_chunks(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+  def list_chunks(%Situ.Recording{state: %__MODULE__{ref: ref}}) do
     for {offset, size, compression, packed, unpacked, first, last} <- Native.mcap_chunks(ref) do
       %{
         offset: offset,
@@ -318,7 +319,7 @@ defmodule Situ.Bridge.Mcap do
             metadata: %{String.t() => String.t()}
           }
         ]
-  def list_channels(%Situ.Store.Handle{state: %__MODULE__{} = state}) do
+  def list_channels(%Situ.Recording{state: %__MODULE__{} = state}) do
     {_, _, channels, schemas, _, _, _} = Native.mcap_info(state.ref)
     names = Map.new(schemas, fn {id, name, _, _} -> {id, name} end)
 
@@ -338,7 +339,7 @@ defmodule Situ.Bridge.Mcap do
   @spec list_schemas(Situ.Store.t()) :: [
           %{id: non_neg_integer(), name: String.t(), encoding: String.t(), definition: binary()}
         ]
-  def list_schemas(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+  def list_schemas(%Situ.Recording{state: %__MODULE__{ref: ref}}) do
     {_, _, _, schemas, _, _, _} = Native.mcap_info(ref)
 
     for {id, name, encoding, data} <- schemas,
@@ -351,14 +352,14 @@ defmodule Situ.Bridge.Mcap do
   """
   @spec topic_sizes(Situ.Store.t()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
-  def topic_sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
+  def topic_sizes(%Situ.Recording{state: %__MODULE__{} = state} = store) do
     topics = Map.new(list_channels(store), &{&1.id, &1.topic})
     TopicSizes.sum_sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
   end
 
   @doc "Returns the bytes of the first attachment with this name. Error: `:no_attachment`."
   @spec read_attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
-  def read_attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do
+  def read_attachment(%Situ.Recording{state: %__MODULE__{} = state}, name) do
     case Enum.find(state.info.attachments, &(elem(&1, 0) == name)) do
       nil ->
         {:error, Error.new(:no_attachment, "#{state.path} has no attachment #{inspect(name)}")}
@@ -398,7 +399,7 @@ defmodule Situ.Bridge.Mcap do
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def export(store, path, opts \\ [])
 
-  def export(%Situ.Store.Handle{module: __MODULE__} = store, path, opts) do
+  def export(%Situ.Recording{module: __MODULE__} = store, path, opts) do
     if Enum.any?([:encoding, :type, :definition, :frame], &Keyword.has_key?(opts, &1)),
       do: StoreExport.export_store(Writer, store, path, opts),
       else: with({:ok, %{messages: count}} <- copy(store, path, opts), do: {:ok, count})
@@ -416,6 +417,6 @@ defmodule Situ.Bridge.Mcap do
   """
   @spec copy(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, %{messages: non_neg_integer(), left_out: [String.t()]}} | {:error, Error.t()}
-  def copy(%Situ.Store.Handle{module: __MODULE__, state: state}, path, opts \\ []),
+  def copy(%Situ.Recording{module: __MODULE__, state: state}, path, opts \\ []),
     do: Copy.copy_file(state, path, opts)
 end

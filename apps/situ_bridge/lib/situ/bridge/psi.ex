@@ -32,7 +32,8 @@ defmodule Situ.Bridge.Psi do
   that is being written is read in the state in which it was opened. Times, sequence numbers and stream ids are the
   recorded ones.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.{Error, Message}
   alias Situ.Bridge.Psi.{Bytes, Catalog, Decoder, Files, StoreScan, TypeName, TypePlans}
   alias Situ.Bridge.Psi.Catalog.Entry
@@ -59,7 +60,7 @@ defmodule Situ.Bridge.Psi do
   end
 
   @impl true
-  def within(folder) do
+  def list_recordings(folder) do
     case Files.store_names(folder) do
       [_only] -> [folder]
       names -> Enum.map(names, &Path.join(folder, &1))

@@ -69,7 +69,7 @@ defmodule Situ.Bridge.WebSocket do
   @impl Protocol
   def hello(host, port, arg) do
     {request, key} = Handshake.build_request(host, port, arg.path)
-    {request, %{key: key, partial: nil, rest: ""}}
+    {request, %{key: key, partial_message: nil, rest: ""}}
   end
 
   @impl Protocol
@@ -82,13 +82,13 @@ defmodule Situ.Bridge.WebSocket do
   end
 
   def read(bytes, state, max) do
-    with {:ok, events, rest, partial} <-
-           Frames.split_messages(state.rest <> bytes, state.partial, false, max) do
+    with {:ok, events, rest, partial_message} <-
+           Frames.split_messages(state.rest <> bytes, state.partial_message, false, max) do
       payloads = for {kind, payload} <- events, kind in [:text, :binary], do: payload
       mask = <<0::32>>
       pongs = for {:ping, data} <- events, do: Frames.encode_frame(:pong, data, mask)
       reply = if pongs == [], do: "", else: pongs
-      {:ok, payloads, reply, %{state | rest: rest, partial: partial}}
+      {:ok, payloads, reply, %{state | rest: rest, partial_message: partial_message}}
     end
   end
 

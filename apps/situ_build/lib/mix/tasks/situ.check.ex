@@ -13,7 +13,7 @@ defmodule Mix.Tasks.Situ.Check do
     * every cycle between the modules of an app or of a Rust crate (`Situ.Build.Cycles`);
     * files and lines that are too long (`Situ.Build.Sources`);
     * names and English that are worse than the limits allow (`Situ.Build.Limits`);
-    * modules whose documentation and the list of public modules disagree (`Situ.Build.PublicModules`);
+    * differences between the list of public modules and their documentation (`Situ.Build.PublicModules`);
     * decision records that nothing cites (`Situ.Build.Decisions`);
     * subjects of commits that are not imperative or too long (`Situ.Build.Commits`).
 

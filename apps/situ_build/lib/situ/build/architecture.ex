@@ -1,7 +1,7 @@
 defmodule Situ.Build.Architecture do
-  @moduledoc """
-  The architecture: a table of the apps that each app may use, and functions that check compiled code against it.
-  """
+  @moduledoc false
+  # The architecture: a table of the apps that each app may use, and functions that check compiled
+  # code against it.
   # The compiler warns about calls into an undeclared app, but not about `%Sibling{}` or a module
   # name used as a value, and `:xref` misses both. The abstract code of the compiled modules shows
   # all three, in less than a second and without recompiling. A compiler tracer would see only the

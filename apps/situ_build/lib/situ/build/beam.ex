@@ -1,9 +1,10 @@
 defmodule Situ.Build.Beam do
-  @moduledoc """
-  A compiled module as the checks see it: its name, its source file, and the atoms and modules that its code uses.
-
-  This information comes from the compiler's debug information, so a beam file without it raises an error.
-  """
+  @moduledoc false
+  # A compiled module as the checks see it: its name, its source file, and the atoms and modules
+  # that its code uses.
+  #
+  # This information comes from the compiler's debug information, so a beam file without it raises
+  # an error.
 
   @enforce_keys [:module, :source, :names, :calls]
   defstruct [:module, :source, :names, :calls]

@@ -1,5 +1,6 @@
 defmodule Situ.Build.Checkout do
-  @moduledoc "Lists the files of a git checkout."
+  @moduledoc false
+  # Lists the files of a git checkout.
 
   @doc "Returns the paths, relative to `root`, of the files that git tracks and that still exist."
   @spec list_files(Path.t()) :: [Path.t()]

@@ -1,9 +1,9 @@
 defmodule Situ.Build.Commits do
-  @moduledoc """
-  Checks the subjects of commits: a scope, then an imperative sentence, with at most 72 characters.
-
-      studio: list only the latest version of each annotation
-  """
+  @moduledoc false
+  # Checks the subjects of commits: a scope, then an imperative sentence, with at most 72
+  # characters.
+  #
+  #     studio: list only the latest version of each annotation
 
   @max 72
   # This commit and all earlier ones are older than the rule.

@@ -1,17 +1,16 @@
 defmodule Situ.Build.Cycles do
-  @moduledoc """
-  Finds groups of modules that use each other in a cycle.
-
-      iex> Situ.Build.Cycles.find_cycles(%{a: [:b], b: [:c], c: [:a], d: [:a]})
-      [[:a, :b, :c]]
-      iex> Situ.Build.Cycles.find_cycles(%{a: [:b], b: [:c], c: []})
-      []
-  """
+  @moduledoc false
+  # Finds groups of modules that use each other in a cycle.
   alias Situ.Build.Beam
 
   @doc """
   Returns the strongly connected groups of more than one node, each sorted, with the largest group first. Uses of nodes
   that are not keys of the map, and uses of a node by itself, are ignored.
+
+      iex> Situ.Build.Cycles.find_cycles(%{a: [:b], b: [:c], c: [:a], d: [:a]})
+      [[:a, :b, :c]]
+      iex> Situ.Build.Cycles.find_cycles(%{a: [:b], b: [:c], c: []})
+      []
   """
   @spec find_cycles(%{optional(node) => Enumerable.t()}) :: [[node, ...]] when node: term()
   def find_cycles(uses) do

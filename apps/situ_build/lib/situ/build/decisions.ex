@@ -1,9 +1,9 @@
 defmodule Situ.Build.Decisions do
-  @moduledoc """
-  Checks that each decision record in `docs/adr` is cited by at least one file outside that folder.
-
-  A record that no code and no page cites is a record that nobody finds.
-  """
+  @moduledoc false
+  # Checks that each decision record in `docs/adr` is cited by at least one file outside that
+  # folder.
+  #
+  # A record that no code and no page cites is a record that nobody finds.
 
   alias Situ.Build.Checkout
 

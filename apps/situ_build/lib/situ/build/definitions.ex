@@ -1,20 +1,21 @@
 defmodule Situ.Build.Definitions do
-  @moduledoc """
-  Reads the modules and functions that a source file defines, from its syntax tree.
-
-      iex> Situ.Build.Definitions.read("defmodule A.B do\\n  def push(queue, item), do: queue ++ [item]\\nend")
-      %{modules: ["A.B"], functions: [{:public, "push"}]}
-
-  Callbacks (functions after `@impl`, and the functions of protocols and their implementations) are left out, because
-  another module chose their names.
-  """
+  @moduledoc false
+  # Reads the modules and functions that a source file defines, from its syntax tree.
+  #
+  # Callbacks (functions after `@impl`, and the functions of protocols and their implementations)
+  # are left out, because another module chose their names.
 
   @public [:def, :defdelegate, :defmacro]
   @private [:defp, :defmacrop]
 
   @type t :: %{modules: [String.t()], functions: [{:public | :private, String.t()}]}
 
-  @doc "Returns the modules and the functions that `source` defines, each once."
+  @doc """
+  Returns the modules and the functions that `source` defines, each once.
+
+      iex> Situ.Build.Definitions.read("defmodule A.B do\\n  def push(queue, item), do: queue ++ [item]\\nend")
+      %{modules: ["A.B"], functions: [{:public, "push"}]}
+  """
   @spec read(String.t()) :: t()
   def read(source) do
     found = source |> Code.string_to_quoted!() |> collect_definitions(nil)

@@ -1,10 +1,10 @@
 defmodule Situ.Build.English do
-  @moduledoc """
-  Counts habits of unclear English in documents, docs and comments. `Situ.Build.Limits` keeps the number from rising.
-
-  A match is a place to look at, not an error, and some matches are good English. To fix a match, rewrite the
-  sentence; a synonym is not enough.
-  """
+  @moduledoc false
+  # Counts habits of unclear English in documents, docs and comments. `Situ.Build.Limits` keeps
+  # the number from rising.
+  #
+  # A match is a place to look at, not an error, and some matches are good English. To fix a
+  # match, rewrite the sentence; a synonym is not enough.
 
   @habits [
     {"is no NOUN", ~r/\b(?:is|are|was|were) no (?!longer|more)[a-z]+/},

@@ -1,24 +1,24 @@
 defmodule Situ.Build.Layers do
-  @moduledoc """
-  The layers of the runtime: a module may only name modules of the same layer and of lower layers.
-
-  A namespace belongs to one layer. `Situ` itself is the top layer. `Situ.Application`, which starts the processes that
-  the layers need, and `Situ.Test` may name all layers.
-
-  | layer | holds |
-  |---|---|
-  | `clock` | clocks, and the choice of a pipeline's clock, start and end |
-  | `graph` | the graph of components as data: vertices, edges, plans, policies, the behaviours of components |
-  | `ports` | inputs and outputs of a running component: queues, demand, posting rules, counters |
-  | `stage` | the process of one component or chain: its time slices, timers, errors |
-  | `lifecycle` | the life cycle of a pipeline as a pure state machine |
-  | `diagnostics` | the state of a pipeline for observers: snapshots, means, tables |
-  | `application` | state shared by all pipelines of a node: the registry, last results, the reaper, code upgrades |
-  | `pipeline` | the process of one pipeline, which executes the decisions of the life cycle |
-  | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage |
-  | `operators` | stream functions: fusion, windows, statistics, generators, parallel branches |
-  | `situ.ex` | the facade |
-  """
+  @moduledoc false
+  # The layers of the runtime: a module may only name modules of the same layer and of lower
+  # layers.
+  #
+  # A namespace belongs to one layer. `Situ` itself is the top layer. `Situ.Application`, which
+  # starts the processes that the layers need, and `Situ.Test` may name all layers.
+  #
+  # | layer | holds |
+  # |---|---|
+  # | `clock` | clocks, and the choice of a pipeline's clock, start and end |
+  # | `graph` | the graph of components as data: vertices, edges, plans, policies, the behaviours of components |
+  # | `ports` | inputs and outputs of a running component: queues, demand, posting rules, counters |
+  # | `stage` | the process of one component or chain: its time slices, timers, errors |
+  # | `lifecycle` | the life cycle of a pipeline as a pure state machine |
+  # | `diagnostics` | the state of a pipeline for observers: snapshots, means, tables |
+  # | `application` | state shared by all pipelines of a node: the registry, last results, the reaper, code upgrades |
+  # | `pipeline` | the process of one pipeline, which executes the decisions of the life cycle |
+  # | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage |
+  # | `operators` | stream functions: fusion, windows, statistics, generators, parallel branches |
+  # | `situ.ex` | the facade |
   alias Situ.Build.Beam
 
   # Names, not modules: the build tool must not depend on the apps that it checks.

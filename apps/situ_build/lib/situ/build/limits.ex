@@ -1,10 +1,11 @@
 defmodule Situ.Build.Limits do
-  @moduledoc """
-  Limits for the measurements of names and English. A change may lower a limit but never raise it.
-
-  Each limit is the measured value, rounded up, from the day when the limit was last lowered. A change that exceeds a
-  limit breaks the build. A change that improves a value should lower its limit here.
-  """
+  @moduledoc false
+  # Limits for the measurements of names and English. A change may lower a limit but never raise
+  # it.
+  #
+  # Each limit is the measured value, rounded up, from the day when the limit was last lowered. A
+  # change that exceeds a limit breaks the build. A change that improves a value should lower its
+  # limit here.
   alias Situ.Build.{English, Names}
 
   @limits %{

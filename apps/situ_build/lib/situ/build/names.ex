@@ -1,11 +1,12 @@
 defmodule Situ.Build.Names do
-  @moduledoc """
-  Measures how functions and modules are named. The limits of `Situ.Build.Limits` keep the figures from rising.
-
-  A function is named by a verb and its object (`put_session`). One word is enough where the module is the object
-  (`Queue.push`) or the word is a term of the field (`join`). No function is named by a bare participle or adverb.
-  The path of a file follows from its module's name. No two modules of an app share their last two words.
-  """
+  @moduledoc false
+  # Measures how functions and modules are named. The limits of `Situ.Build.Limits` keep the
+  # figures from rising.
+  #
+  # A function is named by a verb and its object (`put_session`). One word is enough where the
+  # module is the object (`Queue.push`) or the word is a term of the field (`join`). No function
+  # is named by a bare participle or adverb. The path of a file follows from its module's name. No
+  # two modules of an app share their last two words.
   alias Situ.Build.Definitions
 
   # Words that say neither what a function does nor what it returns.

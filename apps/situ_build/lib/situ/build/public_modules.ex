@@ -3,9 +3,11 @@ defmodule Situ.Build.PublicModules do
   # Compares the list of public modules in `docs/api.md` with the modules that have documentation.
   #
   # A module is public if it has a `@moduledoc`. A list that is checked is a promise that people can read in one place;
-  # without the check, each new module with documentation would silently become part of the API.
+  # without the check, each new module with documentation would silently become part of the API. Guides and the
+  # documentation of public modules may name only public modules.
 
   @list "docs/api.md"
+  @guides ["README.md", "docs/scaling.md", "docs/guides/*.md"]
   # Programs for reading and tools for building Situ are documented, but nobody depends on them.
   @exempt [:situ_build, :situ_examples]
 
@@ -13,9 +15,16 @@ defmodule Situ.Build.PublicModules do
   @spec find_violations(Path.t(), Path.t(), [atom()]) :: [String.t()]
   def find_violations(root, lib, apps) do
     listed = root |> Path.join(@list) |> File.read!() |> parse_list()
-    paths = for app <- apps -- @exempt, path <- list_beams(lib, app), do: path
+    modules = for app <- apps -- @exempt, path <- list_beams(lib, app), do: read_docs(path)
+    kinds = Map.new(modules, &{&1.name, &1.kind})
 
-    compare(listed, Map.new(paths, &read_doc/1))
+    guides =
+      for pattern <- @guides, path <- Path.wildcard(Path.join(root, pattern)) do
+        {Path.relative_to(path, root), File.read!(path)}
+      end
+
+    compare(listed, kinds) ++
+      find_private_names(guides ++ Enum.flat_map(modules, & &1.texts), kinds)
   end
 
   @doc """
@@ -58,6 +67,22 @@ defmodule Situ.Build.PublicModules do
     Enum.sort(unknown ++ statuses ++ docs)
   end
 
+  @doc """
+  Returns one sentence for each private module that a text names.
+
+      iex> texts = [{"a.md", "`A.B.run/1` uses `A.C`."}]
+      iex> Situ.Build.PublicModules.find_private_names(texts, %{"A.B" => :text, "A.C" => :hidden})
+      ["a.md names A.C, which is private"]
+  """
+  @spec find_private_names([{Path.t(), String.t()}], %{String.t() => :text | :hidden | :none}) ::
+          [String.t()]
+  def find_private_names(texts, modules) do
+    for {path, text} <- texts,
+        [name] <- ~r/\b[A-Z]\w*(?:\.[A-Z]\w*)+/ |> Regex.scan(text) |> Enum.uniq(),
+        modules[name] not in [nil, :text],
+        do: "#{path} names #{name}, which is private"
+  end
+
   defp check_module(name, :none, _listed),
     do: "#{name} has neither a @moduledoc nor `@moduledoc false`"
 
@@ -73,23 +98,26 @@ defmodule Situ.Build.PublicModules do
     do: Path.wildcard(Path.join([lib, to_string(app), "ebin", "Elixir.Situ*.beam"]))
 
   # Code that only tests use may do without documentation.
-  defp read_doc(path) do
+  defp read_docs(path) do
     "Elixir." <> name = Path.basename(path, ".beam")
 
     {:ok, {_, [{_, docs}, {_, info}]}} =
       :beam_lib.chunks(String.to_charlist(path), ['Docs', :compile_info], [:allow_missing_chunks])
 
-    {name, if(test_support?(info), do: :hidden, else: doc_kind(docs))}
+    if docs == :missing_chunk or test_support?(info),
+      do: %{name: name, kind: :hidden, texts: []},
+      else: describe_docs(name, :erlang.binary_to_term(docs))
   end
+
+  defp describe_docs(name, {:docs_v1, _, _, _, %{"en" => text}, _, functions}) do
+    texts =
+      for {{kind, function, arity}, _, _, %{"en" => text}, _} when kind != :type <- functions,
+          do: {"the documentation of #{name}.#{function}/#{arity}", text}
+
+    %{name: name, kind: :text, texts: [{"the documentation of #{name}", text} | texts]}
+  end
+
+  defp describe_docs(name, docs), do: %{name: name, kind: elem(docs, 4), texts: []}
 
   defp test_support?(info), do: to_string(info[:source]) =~ "/test/support/"
-
-  defp doc_kind(:missing_chunk), do: :hidden
-
-  defp doc_kind(chunk) do
-    case chunk |> :erlang.binary_to_term() |> elem(4) do
-      %{} -> :text
-      kind -> kind
-    end
-  end
 end

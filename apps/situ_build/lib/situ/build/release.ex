@@ -1,14 +1,15 @@
 defmodule Situ.Build.Release do
-  @moduledoc """
-  A step of `mix release` that removes the cookie, so that other users of the machine cannot read it.
-
-      releases: [situ: [steps: [:assemble, &Situ.Build.Release.remove_cookie/1]]]
-
-  Anyone who knows the cookie can run code in the release. Mix writes it into a world-readable file and puts it on the
-  command line, which all users can read, too. After this step the release contains no cookie: a node started with
-  `RELEASE_DISTRIBUTION=sname` uses its user's `~/.erlang.cookie`, which only that user can read. Without that variable
-  a release does not listen for other nodes (`rel/env.sh.eex`).
-  """
+  @moduledoc false
+  # A step of `mix release` that removes the cookie, so that other users of the machine cannot
+  # read it.
+  #
+  #     releases: [situ: [steps: [:assemble, &Situ.Build.Release.remove_cookie/1]]]
+  #
+  # Anyone who knows the cookie can run code in the release. Mix writes it into a world-readable
+  # file and puts it on the command line, which all users can read, too. After this step the
+  # release contains no cookie: a node started with `RELEASE_DISTRIBUTION=sname` uses its user's
+  # `~/.erlang.cookie`, which only that user can read. Without that variable a release does not
+  # listen for other nodes (`rel/env.sh.eex`).
 
   @cookie ~r/ *--cookie "\$RELEASE_COOKIE"( \\\n)?/
   @read ~r/RELEASE_COOKIE=.*\nexport RELEASE_COOKIE\n/

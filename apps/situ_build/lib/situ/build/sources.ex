@@ -1,10 +1,10 @@
 defmodule Situ.Build.Sources do
-  @moduledoc """
-  Checks the text of sources: Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents.
-
-  A file has at most 300 lines of code (blank lines, comments and documentation are not counted). A line has at most
-  120 characters; in documents, lines with tables, links and images may be longer, and so may commands in scripts.
-  """
+  @moduledoc false
+  # Checks the text of sources: Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents.
+  #
+  # A file has at most 300 lines of code (blank lines, comments and documentation are not
+  # counted). A line has at most 120 characters; in documents, lines with tables, links and images
+  # may be longer, and so may commands in scripts.
 
   alias Situ.Build.Checkout
 

@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Annotate do
-  @moduledoc "The verbs of `situ annotate`: import and export annotations, and measure the agreement of annotators."
+  @moduledoc false
+  # The verbs of `situ annotate`: import and export annotations, and measure the agreement of
+  # annotators.
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
   alias Situ.CLI.Annotate.Report

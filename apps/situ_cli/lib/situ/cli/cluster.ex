@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Cluster do
-  @moduledoc "The verbs of `situ cluster`: the nodes of a cluster and the deployments that run on them."
+  @moduledoc false
+  # The verbs of `situ cluster`: the nodes of a cluster and the deployments that run on them.
   @behaviour Situ.CLI.Verb
 
   alias Situ.{Cluster, Error}

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Dataset do
-  @moduledoc "The verbs of `situ dataset`: sessions of recordings in one dataset file."
+  @moduledoc false
+  # The verbs of `situ dataset`: sessions of recordings in one dataset file.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Setting, Verb}
   alias Situ.CLI.Dataset.Listing

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Devices do
-  @moduledoc "`situ devices`: lists the cameras, microphones, speakers and depth cameras of this machine."
+  @moduledoc false
+  # `situ devices`: lists the cameras, microphones, speakers and depth cameras of this machine.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}

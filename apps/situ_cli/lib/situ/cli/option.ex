@@ -1,18 +1,12 @@
 defmodule Situ.CLI.Option do
-  @moduledoc """
-  One option of a verb. It determines parsing, the line in `--help` and the manual, and completion.
-
-  `type` is `:flag`, `:string`, `:path`, `:integer`, `:float`, `:time` (ISO 8601, or nanoseconds since 1970),
-  `:span` (`10s`, `250ms`), or a list of allowed words. `value` is the name of the value in help; `many?` options may
-  be given several times; `negated?` flags are on unless `--no-NAME` is given.
-
-      iex> alias Situ.CLI.Option
-      iex> option = Option.new(:length, :span, "so long")
-      iex> {Option.label(option), Option.parse_value(option, "1.5m")}
-      {"--length SPAN", {:ok, 90_000_000_000}}
-      iex> Option.parse_value(option, "soon")
-      {:error, "--length takes a span of time like 10s, 250ms, 1.5m or 1h, not \\"soon\\""}
-  """
+  @moduledoc false
+  # One option of a verb. It determines parsing, the line in `--help` and the manual, and
+  # completion.
+  #
+  # `type` is `:flag`, `:string`, `:path`, `:integer`, `:float`, `:time` (ISO 8601, or nanoseconds
+  # since 1970), `:span` (`10s`, `250ms`), or a list of allowed words. `value` is the name of the
+  # value in help; `many?` options may be given several times; `negated?` flags are on unless
+  # `--no-NAME` is given.
   @enforce_keys [:name, :type, :doc]
   defstruct [:name, :type, :doc, :short, :value, :default, many?: false, negated?: false]
 
@@ -31,7 +25,16 @@ defmodule Situ.CLI.Option do
   @units %{"ns" => 1, "us" => 1_000, "ms" => 1_000_000, "s" => 1_000_000_000}
          |> Map.merge(%{"m" => 60_000_000_000, "min" => 60_000_000_000, "h" => 3_600_000_000_000})
 
-  @doc "Builds an option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`."
+  @doc """
+  Builds an option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`.
+
+      iex> alias Situ.CLI.Option
+      iex> option = Option.new(:length, :span, "so long")
+      iex> {Option.label(option), Option.parse_value(option, "1.5m")}
+      {"--length SPAN", {:ok, 90_000_000_000}}
+      iex> Option.parse_value(option, "soon")
+      {:error, "--length takes a span of time like 10s, 250ms, 1.5m or 1h, not \\"soon\\""}
+  """
   @spec new(atom(), type(), String.t(), keyword()) :: t()
   def new(name, type, doc, more \\ []),
     do: struct!(%__MODULE__{name: name, type: type, doc: doc}, more)

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Plugin do
-  @moduledoc "`situ plugin`: creates, lists and tests plug-ins."
+  @moduledoc false
+  # `situ plugin`: creates, lists and tests plug-ins.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}

@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Query do
-  @moduledoc "`situ store query` and `situ dataset query`: find the intervals in which an expression is true."
+  @moduledoc false
+  # `situ store query` and `situ dataset query`: find the intervals in which an expression is
+  # true.
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Edit, Layer, Schema}
   alias Situ.CLI.{Option, Output, Progress, Verb}

@@ -3,12 +3,12 @@ defmodule Situ.CLI.Recording do
   # Handles recordings as arguments: patterns, several paths, and starting the applications that read external formats
   # when one is used.
   alias Situ.Store
-  alias Situ.Store.Formats
+  alias Situ.Recording.Formats
 
   @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_link]
 
   @doc "Opens a recording or raises an error."
-  @spec open!(Path.t()) :: Store.Handle.t()
+  @spec open!(Path.t()) :: Store.t()
   def open!(path) do
     prepare_readers([path])
     Store.open!(path)

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Serve do
-  @moduledoc "`situ serve`: serves a recording to other machines."
+  @moduledoc false
+  # `situ serve`: serves a recording to other machines.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Token, Verb}

@@ -1,12 +1,14 @@
 defmodule Situ.CLI.Setting do
-  @moduledoc """
-  Parses `--set NAME=VALUE`, where a value is JSON or text.
+  @moduledoc false
+  # Parses `--set NAME=VALUE`, where a value is JSON or text.
+
+  @doc """
+  Returns names and values in order. Throws `{:usage, text}` for a setting without a name or
+  value.
 
       iex> Situ.CLI.Setting.parse_settings(["count=3", "names=[\\"a\\"]", "mode=a=b"])
       [{"count", 3}, {"names", ["a"]}, {"mode", "a=b"}]
   """
-
-  @doc "Returns names and values in order. Throws `{:usage, text}` for a setting without a name or value."
   @spec parse_settings([String.t()]) :: [{String.t(), term()}]
   def parse_settings(texts), do: Enum.map(texts, &parse_pair/1)
 

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Shell do
-  @moduledoc "`situ completion` and `situ manual`: print completion scripts for shells, and the manual page."
+  @moduledoc false
+  # `situ completion` and `situ manual`: print completion scripts for shells, and the manual page.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Commands, Completion, Manual, Verb}
 

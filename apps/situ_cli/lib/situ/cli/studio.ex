@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Studio do
-  @moduledoc "`situ studio`: shows recordings in the browser."
+  @moduledoc false
+  # `situ studio`: shows recordings in the browser.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Plugin, Token, Verb}
@@ -90,7 +91,7 @@ defmodule Situ.CLI.Studio do
   end
 
   defp check_path(path) do
-    if File.exists?(path) or Situ.Store.Formats.for_address(path) do
+    if File.exists?(path) or Situ.Recording.Formats.for_address(path) do
       :ok
     else
       {:error,

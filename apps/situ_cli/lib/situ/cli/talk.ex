@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Talk do
-  @moduledoc "`situ talk`: runs a voice assistant."
+  @moduledoc false
+  # `situ talk`: runs a voice assistant.
   @behaviour Situ.CLI.Verb
 
   alias Situ.Assistant.Session

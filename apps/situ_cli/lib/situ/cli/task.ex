@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Task do
-  @moduledoc "`situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a dataset."
+  @moduledoc false
+  # `situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a
+  # dataset.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Setting, Verb}
   alias Situ.Dataset
@@ -39,7 +41,7 @@ defmodule Situ.CLI.Task do
       about: """
       A session that fails does not stop the others (status 1 at the end). The same command resumes a run that was
       stopped or killed. Recordings are never changed: a task creates a new partition or a file. TASK can also be an
-      Elixir file with a module that is a task (Situ.Dataset.Task) or a pipeline (Situ.Dataset.Derivation). The file is
+      Elixir file with a module that is a task (Situ.Dataset.Task) or a pipeline (Situ.Dataset.derive/3). The file is
       compiled and run without restrictions, so use only files that you trust.
       """,
       arguments: [
@@ -142,7 +144,7 @@ defmodule Situ.CLI.Task do
 
       true ->
         raise Error.new(:no_task, "#{file} has no task and no pipeline",
-                fix: "define a module with build/2, see Situ.Dataset.Derivation"
+                fix: "define a module with build/2, see Situ.Dataset.derive/3"
               )
     end
   end

@@ -1,24 +1,24 @@
 defmodule Situ.CLI.Verb do
-  @moduledoc """
-  A verb of `situ` as a table: its words, arguments, options and examples. Parsing, `--help`, the manual and shell
-  completion are all derived from this table, so nothing about a verb is written twice.
-
-  A module of verbs implements the behaviour `Situ.CLI.Verb`: `verbs/0` returns them, and `Situ.CLI.Commands` lists the
-  module.
-
-      %Situ.CLI.Verb{
-        words: ["store", "rename"],
-        summary: "rename a store",
-        arguments: [path: [kind: :recording, doc: "the store"], name: [kind: :text, doc: "the new name"]],
-        options: [],
-        examples: ["situ store rename recordings/lobby.0000 entrance"],
-        run: &Maintenance.rename_store/2
-      }
-
-  `run` receives the arguments as a map (with a list for `many: true`), and the options as a keyword list of parsed
-  values and defaults. Options that may be given several times are lists. It returns the exit status or raises a
-  `Situ.Error`, which is printed and results in status 1.
-  """
+  @moduledoc false
+  # A verb of `situ` as a table: its words, arguments, options and examples. Parsing, `--help`,
+  # the manual and shell completion are all derived from this table, so nothing about a verb is
+  # written twice.
+  #
+  # A module of verbs implements the behaviour `Situ.CLI.Verb`: `verbs/0` returns them, and
+  # `Situ.CLI.Commands` lists the module.
+  #
+  #     %Situ.CLI.Verb{
+  #       words: ["store", "rename"],
+  #       summary: "rename a store",
+  #       arguments: [path: [kind: :recording, doc: "the store"], name: [kind: :text, doc: "the new name"]],
+  #       options: [],
+  #       examples: ["situ store rename recordings/lobby.0000 entrance"],
+  #       run: &Maintenance.rename_store/2
+  #     }
+  #
+  # `run` receives the arguments as a map (with a list for `many: true`), and the options as a
+  # keyword list of parsed values and defaults. Options that may be given several times are lists.
+  # It returns the exit status or raises a `Situ.Error`, which is printed and results in status 1.
   alias Situ.CLI.Option
 
   @enforce_keys [:words, :summary, :run]

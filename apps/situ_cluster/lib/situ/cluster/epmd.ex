@@ -1,18 +1,12 @@
 defmodule Situ.Cluster.Epmd do
-  @moduledoc """
-  Provides Erlang distribution without `epmd`, the daemon that knows every node's port. The name of a node contains its
-  port: `situ-9301@lab1.local` listens on port 9301.
-
-      elixir --name situ-9301@127.0.0.1 --erl "-start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd -pa EBIN" ...
-
-  A node whose name has no port (`iex@host`) listens on any free port. It can connect to other nodes, but they cannot
-  find it.
-
-      iex> Situ.Cluster.Epmd.parse_port("situ-9301")
-      {:ok, 9301}
-      iex> Situ.Cluster.Epmd.parse_port("situ")
-      :error
-  """
+  @moduledoc false
+  # Provides Erlang distribution without `epmd`, the daemon that knows every node's port. The name
+  # of a node contains its port: `situ-9301@lab1.local` listens on port 9301.
+  #
+  #     elixir --name situ-9301@127.0.0.1 --erl "-start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd -pa EBIN" ...
+  #
+  # A node whose name has no port (`iex@host`) listens on any free port. It can connect to other
+  # nodes, but they cannot find it.
   # `epmd` would be another daemon, listening on all interfaces. A fixed port (`-erl_epmd_port`)
   # would allow only one node per machine. With the port in the name, a firewall needs one open
   # port per node.
@@ -20,7 +14,14 @@ defmodule Situ.Cluster.Epmd do
   # The version of the distribution protocol, in the form that epmd reports it.
   @version 6
 
-  @doc "Parses the port out of a node's name (without its host)."
+  @doc """
+  Parses the port out of a node's name (without its host).
+
+      iex> Situ.Cluster.Epmd.parse_port("situ-9301")
+      {:ok, 9301}
+      iex> Situ.Cluster.Epmd.parse_port("situ")
+      :error
+  """
   @spec parse_port(String.t()) :: {:ok, :inet.port_number()} | :error
   def parse_port(name) do
     with [_ | _] = parts <- String.split(name, "-"),

@@ -1,10 +1,18 @@
 defmodule Situ.Cluster.LoadBalance do
-  @moduledoc """
-  Chooses a part to move when one node is busy and another is idle. Pure.
+  @moduledoc false
+  # Chooses a part to move when one node is busy and another is idle. Pure.
+  #
+  # A part moves from the busiest node that has a movable part to the idlest node that its rule
+  # allows, provided that the busier of the two nodes then has at least a tenth of a core less
+  # load. A move costs a checkpoint, so smaller and fluctuating differences are not worth it.
 
-  A part moves from the busiest node that has a movable part to the idlest node that its rule allows, provided that
-  the busier of the two nodes then has at least a tenth of a core less load. A move costs a checkpoint, so smaller
-  and fluctuating differences are not worth it.
+  @min_gain 0.1
+
+  @type nodes :: %{node() => %{busy: float(), cores: pos_integer()}}
+  @type part :: %{part: String.t(), node: node(), cost: float(), on: [node()]}
+
+  @doc """
+  Returns the part and target node of the most effective move, or `nil`.
 
       iex> nodes = %{a@h: %{busy: 1.8, cores: 2}, b@h: %{busy: 0.1, cores: 2}}
       iex> lips = %{part: "Lips", node: :a@h, cost: 1.0, on: [:a@h, :b@h]}
@@ -14,13 +22,6 @@ defmodule Situ.Cluster.LoadBalance do
       iex> Situ.Cluster.LoadBalance.choose_move(%{nodes | a@h: %{busy: 0.15, cores: 2}}, parts)
       nil
   """
-
-  @min_gain 0.1
-
-  @type nodes :: %{node() => %{busy: float(), cores: pos_integer()}}
-  @type part :: %{part: String.t(), node: node(), cost: float(), on: [node()]}
-
-  @doc "Returns the part and target node of the most effective move, or `nil`."
   @spec choose_move(nodes(), [part()]) :: {String.t(), node()} | nil
   def choose_move(nodes, parts) do
     moves =

@@ -1,38 +1,25 @@
 defmodule Situ.Cluster.Log do
-  @moduledoc """
-  Keeps a durable log of entries, grouped by subject. An append names the last entry, so each write happens exactly
-  once.
-
-  Every write names the sequence number of the entry that it follows (`0` if the subject is empty). It is refused if
-  another writer has appended an entry since. This one rule provides ordering, exactly-once writes and fencing. A writer
-  whose acknowledgement was lost sends the same entry again; its `op`, unique to each write, shows that the entry was
-  already written.
-
-  There are two kinds of subjects:
-
-    * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
-    * `{:key, name}` keeps only the last entry (leases, checkpoints).
-
-
-  There are two adapters:
-
-  | address | adapter | for |
-  |---|---|---|
-  | a folder | `Situ.Cluster.Log.Folder` | the processes of one machine (one local file system) |
-  | `nats://host:port,host:port` | `Situ.Cluster.Log.Nats` | several machines and sites: NATS JetStream, 2.9 or newer |
-
-      iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
-      iex> {:ok, log} = Situ.Cluster.Log.connect(root)
-      iex> alias Situ.Cluster.Log.Entry
-      iex> {:ok, 1} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
-      iex> {:refused, last} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "y.1", data: "late"})
-      iex> {last.seq, last.data}
-      {1, "first"}
-      iex> Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
-      {:ok, 1}
-      iex> File.rm_rf!(root) != []
-      true
-  """
+  @moduledoc false
+  # Keeps a durable log of entries, grouped by subject. An append names the last entry, so each
+  # write happens exactly once.
+  #
+  # Every write names the sequence number of the entry that it follows (`0` if the subject is
+  # empty). It is refused if another writer has appended an entry since. This one rule provides
+  # ordering, exactly-once writes and fencing. A writer whose acknowledgement was lost sends the
+  # same entry again; its `op`, unique to each write, shows that the entry was already written.
+  #
+  # There are two kinds of subjects:
+  #
+  #   * `{:stream, name}` keeps all its entries, except those deleted by `trim/3`;
+  #   * `{:key, name}` keeps only the last entry (leases, checkpoints).
+  #
+  #
+  # There are two adapters:
+  #
+  # | address | adapter | for |
+  # |---|---|---|
+  # | a folder | `Situ.Cluster.Log.Folder` | the processes of one machine (one local file system) |
+  # | `nats://host:port,host:port` | `Situ.Cluster.Log.Nats` | several machines and sites: NATS JetStream, 2.9 or newer |
   # See docs/adr/0113-the-log-offers-one-conditional-append.md.
   alias Situ.Error
   alias Situ.Cluster.Log.Entry
@@ -98,7 +85,21 @@ defmodule Situ.Cluster.Log do
   @doc "Closes the log."
   @callback close(conn :: term()) :: :ok
 
-  @doc "Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter."
+  @doc """
+  Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
+      iex> {:ok, log} = Situ.Cluster.Log.connect(root)
+      iex> alias Situ.Cluster.Log.Entry
+      iex> {:ok, 1} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
+      iex> {:refused, last} = Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "y.1", data: "late"})
+      iex> {last.seq, last.data}
+      {1, "first"}
+      iex> Situ.Cluster.Log.append(log, {:stream, "a"}, 0, %Entry{op: "x.1", data: "first"})
+      {:ok, 1}
+      iex> File.rm_rf!(root) != []
+      true
+  """
   @spec connect(String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def connect(address, opts \\ []) when is_binary(address) do
     with {:ok, adapter} <- select_adapter(address),

@@ -1,10 +1,11 @@
 defmodule Situ.Cluster.LogLines do
-  @moduledoc """
-  Keeps the last lines that each node has logged, and makes them readable from any node: `bin/situ cluster logs`.
-
-  A handler of Erlang's logger stores the last 2,000 lines of a node in a table. A line has at most 4,000 characters
-  and is meant for people. Anybody with the cluster's cookie can read the lines.
-  """
+  @moduledoc false
+  # Keeps the last lines that each node has logged, and makes them readable from any node:
+  # `bin/situ cluster logs`.
+  #
+  # A handler of Erlang's logger stores the last 2,000 lines of a node in a table. A line has at
+  # most 4,000 characters and is meant for people. Anybody with the cluster's cookie can read the
+  # lines.
   @max_lines 2_000
   @max_characters 4_000
   # This key holds the last line number; all other keys are line numbers.

@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.NatsIdentity do
-  @moduledoc """
-  Creates the files with which a cluster's nodes and its NATS server authenticate each other: a TLS certificate on each
-  side, and a password. `Situ.Cluster.Identity.create/1` writes them.
-
-  Each side has its own certificate authority, so the files on the server's machine do not suffice to start a node. The
-  server's files are in a separate folder that can be moved: run `nats-server -c nats-server.conf` in that folder.
-  """
+  @moduledoc false
+  # Creates the files with which a cluster's nodes and its NATS server authenticate each other: a
+  # TLS certificate on each side, and a password. `Situ.Cluster.Identity.create/1` writes them.
+  #
+  # Each side has its own certificate authority, so the files on the server's machine do not
+  # suffice to start a node. The server's files are in a separate folder that can be moved: run
+  # `nats-server -c nats-server.conf` in that folder.
   alias Situ.Link.Certificate
 
   @folder "nats-server"

@@ -1,13 +1,14 @@
 defmodule Situ.Cluster.NodeMetrics do
-  @moduledoc """
-  Measures the nodes of a cluster: the load and the devices of each, and the round trips between them.
-
-  Each node measures itself once a second and sends the result to the others. Placement by load and by distance uses
-  the measurements, and the studio's cluster page shows them. A node that has been silent for five seconds is dropped.
-  The others try to reconnect to it for ten minutes.
-
-      Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used recently
-  """
+  @moduledoc false
+  # Measures the nodes of a cluster: the load and the devices of each, and the round trips between
+  # them.
+  #
+  # Each node measures itself once a second and sends the result to the others. Placement by load
+  # and by distance uses the measurements, and the studio's cluster page shows them. A node that
+  # has been silent for five seconds is dropped. The others try to reconnect to it for ten
+  # minutes.
+  #
+  #     Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used recently
   use GenServer
 
   @beat_ms 1_000

@@ -1,11 +1,10 @@
 defmodule Situ.Cluster.Overview do
-  @moduledoc """
-  Describes the current state of a cluster for display: nodes, parts with their streams and readers, and the links and
-  recordings of every node. The result is plain data.
-
-      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
-      Situ.Cluster.overview().nodes
-  """
+  @moduledoc false
+  # Describes the current state of a cluster for display: nodes, parts with their streams and
+  # readers, and the links and recordings of every node. The result is plain data.
+  #
+  #     {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
+  #     Situ.Cluster.overview().nodes
   alias Situ.Cluster.{Agent, Recordings, Runner, NodeMetrics}
 
   # A node may be suspended, so a reply is not awaited for longer.

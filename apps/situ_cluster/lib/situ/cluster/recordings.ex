@@ -1,17 +1,16 @@
 defmodule Situ.Cluster.Recordings do
-  @moduledoc """
-  Lists the recordings on a cluster's nodes, and opens them from any node.
-
-      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
-      Situ.Cluster.Recordings.list_all()
-      {:ok, address, opts} = Situ.Cluster.Recordings.fetch_address("situ-9302@10.0.0.2/lobby.0000")
-      {:ok, store} = Situ.Store.open(address, reader_opts: opts)
-
-  A node lists the stores in its folder. When a recording is requested, the node serves it over a link
-  (`Situ.Link.serve/2`) on the address in the node's name, with TLS if other machines can reach it. The token of the
-  link is random and is only sent over Erlang's distribution. Anybody who can call functions on the node can therefore
-  read its recordings.
-  """
+  @moduledoc false
+  # Lists the recordings on a cluster's nodes, and opens them from any node.
+  #
+  #     {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
+  #     Situ.Cluster.Recordings.list_all()
+  #     {:ok, address, opts} = Situ.Cluster.Recordings.fetch_address("situ-9302@10.0.0.2/lobby.0000")
+  #     {:ok, store} = Situ.Store.open(address, reader_opts: opts)
+  #
+  # A node lists the stores in its folder. When a recording is requested, the node serves it over
+  # a link (`Situ.Link.serve/2`) on the address in the node's name, with TLS if other machines can
+  # reach it. The token of the link is random and is only sent over Erlang's distribution. Anybody
+  # who can call functions on the node can therefore read its recordings.
   use GenServer
   alias Situ.{Error, Link, Store}
 

@@ -1,17 +1,17 @@
 defmodule Situ.Cluster.Retention do
-  @moduledoc """
-  Lists how much the log contains of each deployment, and deletes it when it is no longer needed.
-
-  The log of a deployment remains after its end, so that it can still be read. It takes disk space and, on a NATS
-  server, two open files per stream. Nothing is deleted automatically:
-
-      {:ok, log} = Situ.Cluster.Log.connect("nats://lab1:4222")
-      {:ok, kept} = Situ.Cluster.Retention.list(log)
-      {:ok, 12} = Situ.Cluster.Retention.delete(log, hd(kept))
-
-  `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
-  `bin/situ cluster kept` and `bin/situ cluster prune`.
-  """
+  @moduledoc false
+  # Lists how much the log contains of each deployment, and deletes it when it is no longer
+  # needed.
+  #
+  # The log of a deployment remains after its end, so that it can still be read. It takes disk
+  # space and, on a NATS server, two open files per stream. Nothing is deleted automatically:
+  #
+  #     {:ok, log} = Situ.Cluster.Log.connect("nats://lab1:4222")
+  #     {:ok, kept} = Situ.Cluster.Retention.list(log)
+  #     {:ok, 12} = Situ.Cluster.Retention.delete(log, hd(kept))
+  #
+  # `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster.
+  # On the command line, use `bin/situ cluster kept` and `bin/situ cluster prune`.
   alias Situ.Error
   alias Situ.Cluster.Log
   alias Situ.Cluster.Log.Entry

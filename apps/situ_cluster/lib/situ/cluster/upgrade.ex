@@ -1,18 +1,19 @@
 defmodule Situ.Cluster.Upgrade do
-  @moduledoc """
-  Loads new code in a cluster while its pipelines are running. One node after the other loads the code and restarts its
-  parts from a checkpoint taken for this purpose. As when a part moves, no message is lost or repeated.
-
-      Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
-      Situ.Cluster.upgrade([MyLips])          # the code of this node
-
-  The new components must accept the saved states of the old ones, and the graph must be split into the same parts and
-  streams. If a node cannot meet these conditions, it and all previous nodes return to the old code, and the error
-  gives the reason. Deploy a pipeline with another graph under another name.
-
-  An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart it, and continue with
-  the next node.
-  """
+  @moduledoc false
+  # Loads new code in a cluster while its pipelines are running. One node after the other loads
+  # the code and restarts its parts from a checkpoint taken for this purpose. As when a part
+  # moves, no message is lost or repeated.
+  #
+  #     Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
+  #     Situ.Cluster.upgrade([MyLips])          # the code of this node
+  #
+  # The new components must accept the saved states of the old ones, and the graph must be split
+  # into the same parts and streams. If a node cannot meet these conditions, it and all previous
+  # nodes return to the old code, and the error gives the reason. Deploy a pipeline with another
+  # graph under another name.
+  #
+  # An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart
+  # it, and continue with the next node.
   alias Situ.Cluster.{Agent, PartStarter, Runner}
   alias Situ.Error
 

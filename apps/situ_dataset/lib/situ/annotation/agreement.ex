@@ -1,25 +1,4 @@
 defmodule Situ.Annotation.Agreement do
-  @options [
-    attribute: [type: :string, doc: "The attribute to compare. Default: the first of the schema."],
-    frame: [
-      type: :pos_integer,
-      default: 10_000_000,
-      doc: "Time (ns) between the instants at which labels are compared."
-    ],
-    from: [
-      type: :integer,
-      doc: "Start of the span. Default: the start of the first annotation of both layers."
-    ],
-    to: [
-      type: :integer,
-      doc: "End of the span (excluded). Default: the end of the last annotation of both layers."
-    ],
-    tracks: [
-      type: {:list, :string},
-      doc: "The tracks to compare. Default: all tracks of both layers."
-    ]
-  ]
-
   @moduledoc """
   Measures how well two annotators agree: Cohen's kappa over frames, and the distance between their boundaries.
 
@@ -43,11 +22,31 @@ defmodule Situ.Annotation.Agreement do
       iex> {:ok, r} = Agreement.compare_layers(a, b, frame: 10, to: 100)
       iex> {r.agreement, Float.round(r.kappa, 3), r.begin_error, r.end_error, r.paired, r.only_first}
       {0.9, 0.8, 10.0, 0.0, 1, 0}
-
-  ## Options
-
-  #{Situ.Options.docs(@options)}
   """
+
+  @options [
+    attribute: [type: :string, doc: "The attribute to compare. Default: the first of the schema."],
+    frame: [
+      type: :pos_integer,
+      default: 10_000_000,
+      doc: "Time (ns) between the instants at which labels are compared."
+    ],
+    from: [
+      type: :integer,
+      doc: "Start of the span. Default: the start of the first annotation of both layers."
+    ],
+    to: [
+      type: :integer,
+      doc: "End of the span (excluded). Default: the end of the last annotation of both layers."
+    ],
+    tracks: [
+      type: {:list, :string},
+      doc: "The tracks to compare. Default: all tracks of both layers."
+    ]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @options)
+
   alias Situ.Annotation
   alias Situ.Annotation.Layer
   alias Situ.{Error, Options}

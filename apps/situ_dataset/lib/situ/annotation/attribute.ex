@@ -1,11 +1,10 @@
 defmodule Situ.Annotation.Attribute do
-  @moduledoc """
-  Describes one attribute of a `Situ.Annotation.Schema` by its name, kind and default. A finite attribute also has a
-  list of values with colours and keys.
-
-  `fill` and `text` are the colours of an attribute without a list of values. Pressing a value's `key` on the keyboard
-  sets that value.
-  """
+  @moduledoc false
+  # Describes one attribute of a `Situ.Annotation.Schema` by its name, kind and default. A finite
+  # attribute also has a list of values with colours and keys.
+  #
+  # `fill` and `text` are the colours of an attribute without a list of values. Pressing a value's
+  # `key` on the keyboard sets that value.
   @kinds %{"finite" => :finite, "text" => :text, "number" => :number, "bool" => :bool}
 
   @enforce_keys [:name, :kind]

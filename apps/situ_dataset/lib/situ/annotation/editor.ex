@@ -17,9 +17,6 @@ defmodule Situ.Annotation.Editor do
       iex> File.rm_rf!(Path.dirname(path)) != []
       true
 
-  Options of `start_link/1`: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
-  `stream:`, `schema:` (for a stream that does not exist yet), and GenServer options such as `name:`.
-
   Every transaction is appended to `ROOT/NAME.STREAM.journal` and is on disk before `edit/2` returns. `save/1`
   writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal. An editor that starts
   after a crash replays the journal; `recovered` in `status/1` is the number of replayed transactions. Subscribers
@@ -46,7 +43,11 @@ defmodule Situ.Annotation.Editor do
 
   @type server :: GenServer.server()
 
-  @doc "Starts an editor. Errors: `:no_schema`, `:bad_journal` and the errors of the store."
+  @doc """
+  Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
+  `stream:`, `schema:` (for a stream that does not exist yet), and GenServer options such as `name:`. Errors:
+  `:no_schema`, `:bad_journal` and the errors of the store.
+  """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
     {given, opts} = Keyword.split(opts, [:path, :stream, :schema])

@@ -1,4 +1,36 @@
 defmodule Situ.Annotation.Exchange do
+  @moduledoc """
+  Reads annotations from other programs' files and writes them.
+
+  | format | extensions | read and written by | not stored |
+  |---|---|---|---|
+  | `:eaf` | `.eaf` | ELAN | times below 1 ms, confidence, notes, proposals |
+  | `:textgrid` | `.TextGrid` | Praat | annotators, confidence, notes, proposals, empty labels |
+  | `:webvtt` | `.vtt` | browsers, players | times below 1 ms, annotators, confidence, notes; points last 1 ms |
+  | `:srt` | `.srt` | players | same as WebVTT |
+  | `:label_studio` | `.json` | Label Studio | notes |
+  | `:csv` | `.csv` | spreadsheets | nothing |
+  | `:coco` | `.coco.json` | training of detectors | annotations without a box, key frame flags (with `times:`) |
+
+  `write/3` and `read/2` return a list of sentences that describe the lost data; it is empty if nothing was lost.
+
+      iex> alias Situ.Annotation.{Exchange, Layer, Schema}
+      iex> hi = Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})
+      iex> {:ok, layer} = Layer.new(Schema.text("Words"), [hi])
+      iex> {:ok, text, []} = Exchange.encode(layer, :webvtt, origin: 0)
+      iex> text |> String.split("\\n") |> Enum.drop(2)
+      ["1", "00:00:01.000 --> 00:00:02.500", "<v P1>Hi</v>", ""]
+      iex> {:ok, again, []} = Exchange.decode(text, :webvtt, schema: Schema.text("Words"))
+      iex> Layer.annotations(again) == Layer.annotations(layer)
+      true
+
+  ELAN and Praat store one text per interval. A schema with several attributes therefore becomes one row per track and
+  attribute, called `TRACK.ATTRIBUTE`. Reading with the same schema joins these rows again.
+
+  Files are untrusted input: they may have at most 64 MB, XML with a document type is rejected, and reading never
+  creates atoms.
+  """
+
   @formats %{
     eaf: Situ.Annotation.Exchange.Elan,
     textgrid: Situ.Annotation.Exchange.TextGrid,
@@ -39,41 +71,8 @@ defmodule Situ.Annotation.Exchange do
     ]
   ]
 
-  @moduledoc """
-  Reads annotations from other programs' files and writes them.
+  Situ.Options.add_to_moduledoc(__MODULE__, @options)
 
-  | format | extensions | read and written by | not stored |
-  |---|---|---|---|
-  | `:eaf` | `.eaf` | ELAN | times below 1 ms, confidence, notes, proposals |
-  | `:textgrid` | `.TextGrid` | Praat | annotators, confidence, notes, proposals, empty labels |
-  | `:webvtt` | `.vtt` | browsers, players | times below 1 ms, annotators, confidence, notes; points last 1 ms |
-  | `:srt` | `.srt` | players | same as WebVTT |
-  | `:label_studio` | `.json` | Label Studio | notes |
-  | `:csv` | `.csv` | spreadsheets | nothing |
-  | `:coco` | `.coco.json` | training of detectors | annotations without a box, key frame flags (with `times:`) |
-
-  `write/3` and `read/2` return a list of sentences that describe the lost data; it is empty if nothing was lost.
-
-      iex> alias Situ.Annotation.{Exchange, Layer, Schema}
-      iex> hi = Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})
-      iex> {:ok, layer} = Layer.new(Schema.text("Words"), [hi])
-      iex> {:ok, text, []} = Exchange.encode(layer, :webvtt, origin: 0)
-      iex> text |> String.split("\\n") |> Enum.drop(2)
-      ["1", "00:00:01.000 --> 00:00:02.500", "<v P1>Hi</v>", ""]
-      iex> {:ok, again, []} = Exchange.decode(text, :webvtt, schema: Schema.text("Words"))
-      iex> Layer.annotations(again) == Layer.annotations(layer)
-      true
-
-  ELAN and Praat store one text per interval. A schema with several attributes therefore becomes one row per track and
-  attribute, called `TRACK.ATTRIBUTE`. Reading with the same schema joins these rows again.
-
-  Files are untrusted input: they may have at most 64 MB, XML with a document type is rejected, and reading never
-  creates atoms.
-
-  ## Options
-
-  #{Situ.Options.docs(@options)}
-  """
   alias Situ.Annotation.{Layer, Schema}
   alias Situ.{Error, Options}
 

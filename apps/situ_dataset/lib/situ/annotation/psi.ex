@@ -1,9 +1,8 @@
 defmodule Situ.Annotation.Psi do
-  @moduledoc """
-  Decodes annotations that Microsoft's \\psi recorded. Their stream consists of sets, which contain the annotations
-  that end at the message's time, at most one per track. The schema is the stream's metadata.
-  `Situ.Annotation.Recording` reads these streams like streams of Situ.
-  """
+  @moduledoc false
+  # Decodes annotations that Microsoft's \psi recorded. Their stream consists of sets, which
+  # contain the annotations that end at the message's time, at most one per track. The schema is
+  # the stream's metadata. `Situ.Annotation.Recording` reads these streams like streams of Situ.
   alias Situ.Annotation
 
   @set "Microsoft.Psi.Data.Annotations.TimeIntervalAnnotationSet"

@@ -17,14 +17,14 @@ defmodule Situ.Annotation.Recording do
 
   @doc "Returns whether a stored stream contains annotations of Situ or \\psi, by its type or its metadata."
   @spec annotation_stream?(Store.t(), Store.StreamInfo.t()) :: boolean()
-  def annotation_stream?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
+  def annotation_stream?(%Situ.Recording{} = store, %Store.StreamInfo{} = info),
     do:
       info.type == @type_wanted or Psi.annotation_stream?(info) or
         match?({:ok, _}, read_schema(store, info))
 
   @doc "Returns the schema that the stream was recorded with. Errors: `:no_metadata`, `:bad_schema`."
   @spec read_schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
-  def read_schema(%Store.Handle{} = store, stream) do
+  def read_schema(%Situ.Recording{} = store, stream) do
     with {:ok, term} <- Store.metadata(store, stream) do
       case Psi.convert_schema(term) do
         {:ok, json} -> Schema.parse(json)
@@ -39,7 +39,7 @@ defmodule Situ.Annotation.Recording do
   Errors: the errors of the store, and `:bad_annotation` if a message is not a list of annotations.
   """
   @spec load_layer(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def load_layer(%Store.Handle{} = store, stream) do
+  def load_layer(%Situ.Recording{} = store, stream) do
     with {:ok, info} <- Store.stream_info(store, stream),
          {:ok, annotations} <- read_annotations(store, info),
          {:ok, schema} <- schema_or_guess(store, info, annotations),
@@ -54,7 +54,7 @@ defmodule Situ.Annotation.Recording do
   @doc "Reads the annotations of a stream without their schema. Takes the options of `Situ.Store.messages/3`."
   @spec read_annotations(Store.t(), Store.name(), keyword()) ::
           {:ok, [Annotation.t()]} | {:error, Error.t()}
-  def read_annotations(%Store.Handle{} = store, stream, opts \\ []) do
+  def read_annotations(%Situ.Recording{} = store, stream, opts \\ []) do
     store
     |> Store.messages(stream, opts)
     |> Enum.reduce_while({:ok, []}, fn message, {:ok, done} ->

@@ -1,10 +1,6 @@
 defmodule Situ.Dataset.Checksum do
-  @moduledoc """
-  Computes a checksum over all bytes of a recording, so that a study can verify its data years after the analysis.
-
-  The checksum is `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by
-  name). Lock files and the marks of running writers are excluded.
-  """
+  @moduledoc false
+  # Computes a checksum over all bytes of a recording, as `Situ.Dataset.seal/2` describes it.
   alias Situ.Error
 
   @chunk 1_048_576

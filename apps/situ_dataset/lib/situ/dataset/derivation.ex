@@ -1,4 +1,8 @@
 defmodule Situ.Dataset.Derivation do
+  @moduledoc false
+  # Runs a pipeline over every session and passes each output to the caller, which adds it to its
+  # dataset. `Situ.Dataset.derive/3` documents the pipeline, the options and the report.
+
   @options [
     output: [
       type: {:optional, :string},
@@ -40,37 +44,11 @@ defmodule Situ.Dataset.Derivation do
     ],
     progress: [
       type: {:fun, 1},
-      doc: "Called with a `Situ.Dataset.Derivation.Progress` at most ten times a second."
+      doc: "Called with the progress at most ten times a second."
     ],
     cancel: [type: {:fun, 0}, doc: "Called ten times a second; `true` cancels the run."]
   ]
 
-  @moduledoc """
-  Runs a pipeline over every session of a dataset and stores its output as a new partition of each session. This
-  module implements `Situ.Dataset.derive/3`.
-
-  The computation is a function of the pipeline, the session's importer (`Situ.Dataset.Importer`) and an exporter
-  (`nil` without `output:`),
-
-      fn p, importer, exporter ->
-        importer
-        |> Situ.Dataset.Importer.stream("Level")
-        |> Situ.map(&abs/1)
-        |> Situ.Store.write(exporter, "Loudness")
-      end
-
-  or a module with `build/2`, whose options contain `importer:`, `exporter:` and `session:` in addition to the
-  options in `options:`.
-
-  A session's output gets its final name only when it is complete. A failed session leaves no output, and the other
-  sessions continue. A cancelled run keeps the completed sessions. The next run of the same output resumes a run
-  that was killed, cancelled or had failures, and runs only the remaining sessions. A journal next to the dataset
-  file (`FILE.OUTPUT.run`) records which sessions were started and completed.
-
-  ## Options
-
-  #{Situ.Options.docs(@options)}
-  """
   alias Situ.Dataset.Derivation.{Job, RunJournal, Progress, Report}
   alias Situ.Dataset.{Partition, Session, Summary}
   alias Situ.{Error, Options}

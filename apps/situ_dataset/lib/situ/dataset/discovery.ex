@@ -98,7 +98,8 @@ defmodule Situ.Dataset.Discovery do
       match?({:ok, %{type: :directory}}, File.lstat(path)) ->
         :folder
 
-      File.regular?(path) and Store.Formats.for_file(path) != nil and recording_file?(path) ->
+      File.regular?(path) and Situ.Recording.Formats.for_file(path) != nil and
+          recording_file?(path) ->
         :recording
 
       true ->

@@ -1,15 +1,7 @@
 defmodule Situ.Dataset.FileFormat do
-  @moduledoc """
-  Reads and writes dataset files. A file is JSON that people may edit (schema: `priv/schema/dataset.schema.json`).
-
-      {"version": 1, "name": "Study", "tags": [], "metadata": {},
-       "sessions": [
-         {"name": "p01", "tags": ["pilot"], "metadata": {"participant": "P01"},
-          "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
-
-  Paths are relative to the file and use forward slashes. Saving keeps unknown fields of the file. \\psi's `.pds`
-  files, which have the same structure with other names, are read but never written.
-  """
+  @moduledoc false
+  # Reads and writes dataset files, whose form `Situ.Dataset` describes. \psi's `.pds` files, which
+  # have the same structure with other names, are read but never written.
   alias Situ.Dataset.{DatasetFile, NameRules, Partition, Session, StoredPath}
   alias Situ.Error
 

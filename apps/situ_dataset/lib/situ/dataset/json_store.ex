@@ -1,16 +1,16 @@
 defmodule Situ.Dataset.JsonStore do
-  @moduledoc """
-  Reads \\psi's JSON stores as recordings. A store consists of `NAME.Catalog.json` (an array of stream descriptions)
-  and `NAME.Data.json` (an array of `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data":
-  ...}` in the order of time).
-
-      {:ok, store} = Situ.Store.open("notes.Catalog.json")
-
-  Data keeps its JSON form: maps with string keys, lists, numbers and strings. A message at the left end of an
-  interval is included (\\psi's reader excludes it). Invalid messages, and messages of streams that are not in the
-  catalogue, are skipped and reported as damage.
-  """
-  @behaviour Situ.Store.Reader
+  @moduledoc false
+  # Reads \psi's JSON stores as recordings. A store consists of `NAME.Catalog.json` (an array of
+  # stream descriptions) and `NAME.Data.json` (an array of `{"Envelope": {"SourceId",
+  # "SequenceId", "OriginatingTime", "Time"}, "Data": ...}` in the order of time).
+  #
+  #     {:ok, store} = Situ.Store.open("notes.Catalog.json")
+  #
+  # Data keeps its JSON form: maps with string keys, lists, numbers and strings. A message at the
+  # left end of an interval is included (\psi's reader excludes it). Invalid messages, and
+  # messages of streams that are not in the catalogue, are skipped and reported as damage.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Message, Time}
   alias Situ.Store.StreamInfo

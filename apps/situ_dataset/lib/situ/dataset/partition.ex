@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Partition do
   @moduledoc """
-  Represents one recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, video,
+  Represents one recording of a session: a store, or any file that a `Situ.Recording.Format` opens (WAV, CSV, video,
   MCAP, bags ...).
 
   A partition consists of a name and a path, and is opened only when needed. A dataset with a missing or damaged
@@ -12,7 +12,7 @@ defmodule Situ.Dataset.Partition do
       :no_store
 
   Fields: `name`, `store` (the recording's name), `path` (absolute), `reader` (the name of a reader module or of a
-  reader of \\psi; `nil` to detect it from the file), `checksum` (`Situ.Dataset.Checksum` or `nil`), `metadata` (a
+  reader of \\psi; `nil` to detect it from the file), `checksum` (from `Situ.Dataset.seal/2`, or `nil`), `metadata` (a
   JSON object), `extra` (unknown fields of the dataset file, which are kept).
   """
   alias Situ.{Error, Store}
@@ -168,7 +168,7 @@ defmodule Situ.Dataset.Partition do
   defp resolve_reader(nil), do: {:ok, []}
 
   defp resolve_reader(name) do
-    case Enum.find(Store.Formats.list_readers(), &(inspect(&1) == name)) do
+    case Enum.find(Situ.Recording.Formats.list_formats(), &(inspect(&1) == name)) do
       nil when is_binary(name) ->
         if(psi_reader?(name), do: {:ok, []}, else: unknown_reader_error(name))
 
@@ -181,7 +181,7 @@ defmodule Situ.Dataset.Partition do
   defp psi_reader?(name), do: name =~ ~r/StreamReader\b/ or name =~ ~r/, /
 
   defp unknown_reader_error(name) do
-    known = Enum.map_join(Store.Formats.list_readers(), ", ", &inspect/1)
+    known = Enum.map_join(Situ.Recording.Formats.list_formats(), ", ", &inspect/1)
 
     {:error,
      Error.new(:unknown_reader, "unknown reader #{inspect(name)}",

@@ -10,10 +10,10 @@ defmodule Situ.Dataset.Server do
       iex> receive do {:situ_dataset, ^server, changes} -> changes end
       [:dataset, {:session_added, "p01"}]
 
-  Options of `start_link/1`: `dataset:` (required) and GenServer options such as `name:`. A change is `:dataset`
-  (always the first: any part of the dataset has changed), `{:session_added, name}`, `{:session_removed, name}` or
-  `{:session, name}`. Renaming or moving a session produces both `{:session, new}` and `{:session_removed, old}`.
-  The process ends with its supervisor without saving; use `autosave: true` if edits must not be lost.
+  A change is `:dataset` (always the first: any part of the dataset has changed), `{:session_added, name}`,
+  `{:session_removed, name}` or `{:session, name}`. Renaming or moving a session produces both `{:session, new}` and
+  `{:session_removed, old}`. The process ends with its supervisor without saving; use `autosave: true` if edits must not
+  be lost.
   """
   use GenServer
   alias Situ.{Dataset, Error}
@@ -24,7 +24,7 @@ defmodule Situ.Dataset.Server do
           | {:session_added, String.t()}
           | {:session_removed, String.t()}
 
-  @doc "Starts the server."
+  @doc "Starts the server. Options: `dataset:` (required), and GenServer options such as `name:`."
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts) do
     {%Dataset{} = dataset, opts} = Keyword.pop!(opts, :dataset)

@@ -1,7 +1,13 @@
 defmodule Situ.Dataset.StoredPath do
-  @moduledoc """
-  Converts paths of recordings to the form stored in a dataset file, which is relative to the file, so that the file
-  and its recordings can be moved together.
+  @moduledoc false
+  # Converts paths of recordings to the form stored in a dataset file, which is relative to the
+  # file, so that the file and its recordings can be moved together.
+
+  @typedoc "Root (\"\" if the path is relative) and segments."
+  @type parts :: {root :: String.t(), [String.t()]}
+
+  @doc """
+  Returns the form of `path` that the dataset file `dataset_file` stores; a relative path keeps its spelling.
 
       iex> Situ.Dataset.StoredPath.to_stored("/study/p01/lobby.0000", "/study/study.json")
       "p01/lobby.0000"
@@ -20,13 +26,6 @@ defmodule Situ.Dataset.StoredPath do
       "D:\\\\runs\\\\a"
       iex> Situ.Dataset.StoredPath.from_stored("../a", ~S(C:\\study\\study.pds))
       "C:\\\\a"
-  """
-
-  @typedoc "Root (\"\" if the path is relative) and segments."
-  @type parts :: {root :: String.t(), [String.t()]}
-
-  @doc """
-  Returns the form of `path` that the dataset file `dataset_file` stores; a relative path keeps its spelling.
   """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
   def to_stored(path, dataset_file),

@@ -1,20 +1,15 @@
 defmodule Situ.Dataset.Summary do
   @moduledoc """
-  Summarizes a partition, a session or a dataset: time spans, sizes and counts. A summary of several items contains
+  Summarizes a partition, a session or a dataset: time spans, sizes and counts. `Situ.Dataset.summary/1`,
+  `Situ.Dataset.Session.summary/1` and `Situ.Dataset.Partition.summary/1` return it. A summary of several items contains
   the coverage of their spans and the sums of the other fields.
 
-    * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there
-      are no messages
-    * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \\psi calls it
-      the stream interval)
+    * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there are
+      no messages
+    * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \\psi calls it the
+      stream interval)
     * `size`: payload bytes; `streams`, `messages`: counts
     * `unknown`: number of partitions that could not be read and are not included
-
-      iex> a = %Situ.Dataset.Summary{originating: Situ.Interval.closed(10, 20), size: 3, streams: 1, messages: 2}
-      iex> b = %Situ.Dataset.Summary{originating: Situ.Interval.closed(40, 50), size: 4, streams: 2, messages: 1}
-      iex> sum = Situ.Dataset.Summary.sum([a, b])
-      iex> {to_string(sum.originating), sum.size, sum.streams, sum.messages, Situ.Dataset.Summary.duration(sum)}
-      {"[10,50]", 7, 3, 3, 40}
   """
   alias Situ.{Interval, Store}
 
@@ -38,7 +33,7 @@ defmodule Situ.Dataset.Summary do
 
   @doc "Summarizes an open recording."
   @spec from_store(Store.t()) :: t()
-  def from_store(%Store.Handle{} = store) do
+  def from_store(%Situ.Recording{} = store) do
     streams = Store.streams(store)
 
     %__MODULE__{
@@ -56,7 +51,15 @@ defmodule Situ.Dataset.Summary do
   @spec unknown_recording() :: t()
   def unknown_recording, do: %__MODULE__{unknown: 1}
 
-  @doc "Combines several summaries: the coverage of the spans and the sums of the other fields."
+  @doc """
+  Combines several summaries: the coverage of the spans and the sums of the other fields.
+
+      iex> a = %Situ.Dataset.Summary{originating: Situ.Interval.closed(10, 20), size: 3, streams: 1, messages: 2}
+      iex> b = %Situ.Dataset.Summary{originating: Situ.Interval.closed(40, 50), size: 4, streams: 2, messages: 1}
+      iex> sum = Situ.Dataset.Summary.sum([a, b])
+      iex> {to_string(sum.originating), sum.size, sum.streams, sum.messages, Situ.Dataset.Summary.duration(sum)}
+      {"[10,50]", 7, 3, 3, 40}
+  """
   @spec sum([t()]) :: t()
   def sum(summaries) do
     total = fn field -> summaries |> Enum.map(&Map.fetch!(&1, field)) |> Enum.sum() end

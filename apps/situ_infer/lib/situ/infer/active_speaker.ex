@@ -1,4 +1,30 @@
 defmodule Situ.Infer.ActiveSpeaker do
+  @moduledoc """
+  Decides which face is speaking, from audio and lip movement.
+
+  Input `:in` is `{mouths, voice}`: for every image, a map from face id to mouth, from `Situ.Infer.MouthShape`, and the
+  nearest message of `Situ.Infer.voice/2` (or `nil`). Output `:out` is a map from the same ids to booleans. It has the
+  image's time and is emitted `:lookahead` later.
+
+      mouths
+      |> Situ.join(voice, Situ.Reproducible.nearest(Situ.Time.ms(40), or_default: nil))
+      |> Situ.via(Situ.Infer.ActiveSpeaker)
+
+  At most one face speaks at a time:
+
+    1. Without a voice, nobody is speaking. The voice has hysteresis, and short pauses are bridged.
+    2. The face whose lips move **with** the loudness of the voice becomes the speaker. The measure is the correlation
+       over a window in which the mouth must also clearly move. A mouth that is merely open, or that moves
+       independently, does not correlate with the audio, and a voice from outside the image correlates with no face.
+    3. If no face correlates clearly, the only face that was at rest and starts to move as the voice starts becomes the
+       speaker.
+    4. A speaker remains the speaker while the mouth moves and the voice continues, unless another face scores much
+       higher, because lips and loudness correlate less within fluent speech than at its start. But lips that contradict
+       the voice for almost a second (closed while it is loud) are not the speaker's, however much they move.
+
+  The decision depends only on the messages and not on when they arrive, so a recording always gives the same result.
+  """
+
   @schema [
     lookahead: [
       type: :time_ns,
@@ -32,7 +58,7 @@ defmodule Situ.Infer.ActiveSpeaker do
       type: :number,
       default: 0.02,
       doc:
-        "The change in opening (see `Situ.Infer.Mouth`) that counts as movement; smaller changes are detector noise."
+        "The change in opening (see `Situ.Infer.MouthShape`) that counts as movement; smaller ones are noise."
     ],
     pause: [
       type: :time_ns,
@@ -55,35 +81,6 @@ defmodule Situ.Infer.ActiveSpeaker do
     ]
   ]
 
-  @moduledoc """
-  Decides which face is speaking, from audio and lip movement.
-
-  Input `:in` is `{mouths, voice}`: for every image, a map from face id to `Situ.Infer.Mouth`, and the nearest
-  `Situ.Infer.Voice` (or `nil`). Output `:out` is a map from the same ids to booleans. It has the image's time and is
-  emitted `:lookahead` later.
-
-      mouths
-      |> Situ.join(voice, Situ.Reproducible.nearest(Situ.Time.ms(40), or_default: nil))
-      |> Situ.via(Situ.Infer.ActiveSpeaker)
-
-  At most one face speaks at a time:
-
-    1. Without a voice, nobody is speaking. The voice has hysteresis, and short pauses are bridged.
-    2. The face whose lips move **with** the loudness of the voice becomes the speaker. The measure is the correlation
-       over a window in which the mouth must also clearly move. A mouth that is merely open, or that moves
-       independently, does not correlate with the audio, and a voice from outside the image correlates with no face.
-    3. If no face correlates clearly, the only face that was at rest and starts to move as the voice starts becomes the
-       speaker.
-    4. A speaker remains the speaker while the mouth moves and the voice continues, unless another face scores much
-       higher, because lips and loudness correlate less within fluent speech than at its start. But lips that contradict
-       the voice for almost a second (closed while it is loud) are not the speaker's, however much they move.
-
-  The decision depends only on the messages and not on when they arrive, so a recording always gives the same result.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [
       in:

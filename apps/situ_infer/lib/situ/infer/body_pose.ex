@@ -1,20 +1,6 @@
 defmodule Situ.Infer.BodyPose do
-  @schema Situ.Infer.BundledModel.schema() ++
-            [
-              min_score: [
-                type: {:range, 0.01, 0.99},
-                default: 0.5,
-                doc: "The minimum score for a body."
-              ]
-            ]
-
-  @joints ~w(nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
-             mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
-             left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee
-             right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index)a
-
   @moduledoc """
-  Finds the body of the person in front of the camera: #{length(@joints)} points in the image, and a skeleton
+  Finds the body of the person in front of the camera: 33 points in the image, and a skeleton
   (MediaPipe's BlazePose).
 
   Input `:in` is a `Situ.Image` of an 8-bit format. Each image produces a message on each output, at its time (an empty
@@ -34,11 +20,22 @@ defmodule Situ.Infer.BodyPose do
   since the network does not measure them. One detection takes about 12 ms on one core; the first image needs two.
 
   To use it without a pipeline, see `find_body/2`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score for a body."
+              ]
+            ]
+
+  @joints ~w(nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
+             mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
+             left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee
+             right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index)a
+
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Point2}, skeletons: {:list, Situ.Skeleton}],

@@ -1,4 +1,14 @@
 defmodule Situ.Infer.Classifier do
+  @moduledoc """
+  Classifies images with any ONNX network that gives a score for each class, such as the networks trained on ImageNet.
+
+      pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
+
+  Input `:in` is a `Situ.Image` of an 8-bit format or `nil`. Output `:out` is the list of the most likely classes,
+  `{label, score}`, best first (`nil` for `nil`). By default the preprocessing is ImageNet's: the middle square,
+  bilinear, `(v / 255 - mean) / std`. The label of a class without a name is its number.
+  """
+
   alias Situ.Infer.Vision.ImageInput
 
   @own [
@@ -32,19 +42,6 @@ defmodule Situ.Infer.Classifier do
 
   @schema @own ++ ImageInput.schema(ImageInput.imagenet_options())
 
-  @moduledoc """
-  Classifies images with any ONNX network that gives a score for each class, such as the networks trained on ImageNet.
-
-      pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
-
-  Input `:in` is a `Situ.Image` of an 8-bit format or `nil`. Output `:out` is the list of the most likely classes,
-  `{label, score}`, best first (`nil` for `nil`). By default the preprocessing is ImageNet's: the middle square,
-  bilinear, `(v / 255 - mean) / std`. The label of a class without a name is its number.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: {:optional, Situ.Image}],
     outputs: [out: {:optional, {:list, {:tuple, [:string, :float]}}}],

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Engine do
   @moduledoc """
-  The behaviour of the engine that runs a model, between `Situ.Infer.Model` and a native library.
+  The behaviour of engines, which run models for `Situ.Infer.Model`.
 
-  One engine is built in, `Situ.Infer.Engine.Ort` (ONNX Runtime). To add another (pure Rust, a remote server), write a
-  module with these callbacks and pass it as the `:engine` option of `Situ.Infer.Model.load/2`.
+  ONNX Runtime is built in. To add another engine (pure Rust, a remote server), write a module with these callbacks and
+  pass it as the `:engine` option of `Situ.Infer.Model.load/2`.
 
   Port names, types and shapes are those in the model file; a dimension of `-1` is free.
   """

@@ -1,18 +1,4 @@
 defmodule Situ.Infer.FaceBlur do
-  @schema [
-    hold: [
-      type: :time_ns,
-      default: 500_000_000,
-      doc:
-        "How long before its first and after its last detection a face is hidden, in ns, since detectors miss some."
-    ],
-    margin: [
-      type: {:range, 1.0, 4.0},
-      default: 1.5,
-      doc: "The size of the hidden area, relative to the face."
-    ]
-  ]
-
   @moduledoc """
   Hides the faces in images. Each face is replaced by a few blurred spots from which it cannot be reconstructed.
 
@@ -28,11 +14,22 @@ defmodule Situ.Infer.FaceBlur do
       iex> hidden = Situ.Infer.FaceBlur.hide_rects(image, [Situ.Rect.new!(-4, 10, 20, 20)])
       iex> {hidden.width, hidden.height}
       {64, 64}
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    hold: [
+      type: :time_ns,
+      default: 500_000_000,
+      doc:
+        "How long before its first and after its last detection a face is hidden, in ns, since detectors miss some."
+    ],
+    margin: [
+      type: {:range, 1.0, 4.0},
+      default: 1.5,
+      doc: "The size of the hidden area, relative to the face."
+    ]
+  ]
+
   use Situ.Component,
     inputs: [in: {:tuple, [Situ.Image, {:list, Situ.Infer.Face}]}],
     outputs: [out: Situ.Image],

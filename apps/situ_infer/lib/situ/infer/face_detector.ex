@@ -1,4 +1,18 @@
 defmodule Situ.Infer.FaceDetector do
+  @moduledoc """
+  Finds faces in images (BlazeFace short range).
+
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Infer.Face` at the image's time,
+  which may be empty. Faces of at least a quarter of the image are found in the whole image. Smaller faces,
+  down to 40 pixels, are found in tiles within two seconds of their appearance, and then in close-ups. While no face
+  moves, faces are searched for only every `:every` nanoseconds, and keep their positions in between.
+
+      frames |> Situ.via(Situ.Infer.FaceDetector, min_score: 0.6)
+
+  One detection takes about 1.2 ms on one core. An image needs one detection, one for each face that is not large, and
+  one for each tile; while faces rest it needs a third of that. The first image is searched completely.
+  """
+
   @schema Situ.Infer.BundledModel.schema() ++
             [
               min_score: [
@@ -26,23 +40,6 @@ defmodule Situ.Infer.FaceDetector do
               ]
             ]
 
-  @moduledoc """
-  Finds faces in images (BlazeFace short range).
-
-  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Infer.Face` at the image's time,
-  which may be empty. Faces of at least a quarter of the image are found in the whole image. Smaller faces,
-  down to 40 pixels, are found in tiles within two seconds of their appearance, and then in close-ups. While no face
-  moves, faces are searched for only every `:every` nanoseconds, and keep their positions in between.
-
-      frames |> Situ.via(Situ.Infer.FaceDetector, min_score: 0.6)
-
-  One detection takes about 1.2 ms on one core. An image needs one detection, one for each face that is not large, and
-  one for each tile; while faces rest it needs a third of that. The first image is searched completely.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Infer.Face}],

@@ -1,4 +1,14 @@
 defmodule Situ.Infer.FaceLandmarks do
+  @moduledoc """
+  Finds 468 points on every face (MediaPipe's face mesh).
+
+      frames |> Situ.join(faces) |> Situ.via(Situ.Infer.FaceLandmarks)
+
+  Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it. Output `:out` is a list of
+  `Situ.Infer.FaceMesh` in the same order. A face takes about 2.5 ms on one core, and the faces of an image are
+  processed in parallel.
+  """
+
   @schema Situ.Infer.BundledModel.schema() ++
             [
               margin: [
@@ -13,19 +23,6 @@ defmodule Situ.Infer.FaceLandmarks do
               ]
             ]
 
-  @moduledoc """
-  Finds 468 points on every face (MediaPipe's face mesh).
-
-  Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it. Output `:out` is a list of
-  `Situ.Infer.FaceMesh` in the same order. A face takes about 2.5 ms on one core, and the faces of an image are
-  processed in parallel.
-
-      frames |> Situ.join(faces) |> Situ.via(Situ.Infer.FaceLandmarks)
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: {{:tuple, [Situ.Image, {:list, Situ.Infer.Face}]}, optional: false}],
     outputs: [out: {:list, Situ.Infer.FaceMesh}],

@@ -1,25 +1,14 @@
 defmodule Situ.Infer.FaceMesh do
   @moduledoc """
-  The 468 points of a face (MediaPipe's face mesh).
+  The 468 points of a face (MediaPipe's face mesh), as `Situ.Infer.FaceLandmarks` finds them.
 
     * `id`: the id of the face's track
     * `rect`: the face's rectangle in the image
     * `score`: the network's confidence that this is a face, 0..1
-    * `points`: x, y and z of the 468 points as 32-bit floats in pixels of `patch`; read them with `point_at/2` or
-      `points/1`
+    * `points`, `patch`: the points in the network's own pixels; `point_at/2` and `points/1` return image pixels
 
   The most important points are 13 and 14, the inner lips in the middle (upper, lower); 78 and 308, the inner corners of
   the mouth; 33 and 263, the outer corners of the eyes; 1, the tip of the nose; and 152, the chin.
-
-      iex> point = &for(v <- &1, into: <<>>, do: <<v::float-native-32>>)
-      iex> points = for i <- 0..467, into: <<>>, do: point.([i * 1.0, 2.0, 0.0])
-      iex> patch = Situ.Infer.Patch.centered_at({96.0, 96.0}, 192.0, 0.0, 192)
-      iex> rect = Situ.Rect.new!(0, 0, 1, 1)
-      iex> mesh = %Situ.Infer.FaceMesh{id: 0, rect: rect, score: 1.0, points: points, patch: patch}
-      iex> Situ.Infer.FaceMesh.point_at(mesh, 13)
-      {13.0, 2.0}
-      iex> Situ.Infer.FaceMesh.point_distance(mesh, 13, 14)
-      1.0
   """
   alias Situ.Infer.Patch
 

@@ -1,17 +1,4 @@
 defmodule Situ.Infer.FaceTracker do
-  @schema [
-    max_missing: [
-      type: :time_ns,
-      default: 500_000_000,
-      doc: "How long a face may be missing and still keep its id, in ns."
-    ],
-    min_hits: [
-      type: :pos_integer,
-      default: 1,
-      doc: "The number of images in which a face must have been found before it is emitted."
-    ]
-  ]
-
   @moduledoc """
   Gives faces persistent ids: `0`, `1`, `2` ... in order of appearance, and from left to right among faces that appear
   together.
@@ -28,11 +15,21 @@ defmodule Situ.Infer.FaceTracker do
       iex> {faces, _} = Situ.Infer.FaceTracker.update_tracks(tracker, 40_000_000, [face.(3), face.(52)])
       iex> Enum.map(faces, &{&1.rect.x, &1.rect.id})
       [{3, 0}, {52, 1}]
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    max_missing: [
+      type: :time_ns,
+      default: 500_000_000,
+      doc: "How long a face may be missing and still keep its id, in ns."
+    ],
+    min_hits: [
+      type: :pos_integer,
+      default: 1,
+      doc: "The number of images in which a face must have been found before it is emitted."
+    ]
+  ]
+
   use Situ.Component,
     inputs: [in: {:list, Situ.Infer.Face}],
     outputs: [out: {:list, Situ.Infer.Face}],

@@ -1,25 +1,16 @@
 defmodule Situ.Infer.Http do
-  @moduledoc """
-  Sends one request over HTTP/1.1 and passes the response on as it arrives, which streaming services require.
-
-      Situ.Infer.Http.request(:get, "http://127.0.0.1:8080/v1/models", [], "", [], fn
-        {:status, status, _headers}, _body -> {:cont, {status, []}}
-        {:data, bytes}, {status, body} -> {:cont, {status, [body, bytes]}}
-      end, nil)
-
-  A request runs in the calling process and ends with it; killing that process closes the connection. Certificates
-  are verified against the system's authorities (or those in `cacertfile:`), including the host name in the URL. Headers
-  may contain secrets, so errors, logs and process states never contain headers.
-
-  If an error occurs, the result also contains the accumulator up to that point: `{:error, error, acc}`.
-
-  OTP's `httpc` is not used because it keeps the complete body of every unsuccessful response, however long, and logs
-  the request headers if its process crashes ([ADR 0062](docs/adr/0062-our-own-http-client-for-streaming.md)).
-
-  ## Errors
-
-  `:bad_url`, `:bad_header`, `:no_connection`, `:not_trusted` (certificate), `:timeout`, `:cut_off`, `:bad_response`.
-  """
+  @moduledoc false
+  # Sends one request over HTTP/1.1 and passes the response on as it arrives, which streaming
+  # services require.
+  #
+  # A request runs in the calling process and ends with it; killing that process closes the
+  # connection. Certificates are verified against the system's authorities (or those in
+  # `cacertfile:`), including the host name in the URL. Headers may contain secrets, so errors,
+  # logs and process states never contain headers.
+  #
+  # OTP's `httpc` is not used because it keeps the complete body of every unsuccessful response,
+  # however long, and logs the request headers if its process crashes ([ADR
+  # 0062](docs/adr/0062-our-own-http-client-for-streaming.md)).
   alias Situ.Error
   alias Situ.Infer.Http.Decoder
 

@@ -1,4 +1,21 @@
 defmodule Situ.Infer.ImageService do
+  @moduledoc """
+  Describes images with a service that has Azure's interface (Image Analysis 4.0). For services with OpenAI's interface,
+  send an image to `Situ.Chat` (`Situ.Chat.Turn.user/2`).
+
+      seen = Situ.via(pictures, Situ.Infer.ImageService, url: "https://my.cognitiveservices.azure.com")
+      Situ.each(seen, fn seen -> IO.inspect(for {tag, p} <- seen.tags, p > 0.8, do: tag) end)
+
+  Input `:in` is images (`Situ.Image`, or `Situ.EncodedImage`, which is sent unchanged). Output `:out` is a map for each
+  image, at its time: `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:` and
+  `text:` as lists of `Situ.Rect` in image pixels with label and score. Images wait while the service processes one, so
+  use a policy such as `Situ.Delivery.latest()` for a camera.
+
+  ## Errors
+
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
+  """
+
   @own [
     url: [
       type: :string,
@@ -14,26 +31,6 @@ defmodule Situ.Infer.ImageService do
   ]
   @schema @own ++ Situ.Infer.Service.schema("AZURE_VISION_KEY")
 
-  @moduledoc """
-  Describes images with a service that has Azure's interface (Image Analysis 4.0). For services with OpenAI's interface,
-  send an image to `Situ.Chat` (`Situ.Chat.Turn.user/2`).
-
-      seen = Situ.via(pictures, Situ.Infer.ImageService, url: "https://my.cognitiveservices.azure.com")
-      Situ.each(seen, fn seen -> IO.inspect(for {tag, p} <- seen.tags, p > 0.8, do: tag) end)
-
-  Input `:in` is images (`Situ.Image`, or `Situ.EncodedImage`, which is sent unchanged). Output `:out` is a map for each
-  image, at its time: `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:` and
-  `text:` as lists of `Situ.Rect` in image pixels with label and score. Images wait while the service processes one, so
-  use a policy such as `Situ.Delivery.latest()` for a camera.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  The errors of `Situ.Infer.Service`, and `:bad_answer`.
-  """
   use Situ.Component, inputs: [in: :any], outputs: [out: :map], options: @schema
 
   alias Situ.{EncodedImage, Error, Image, ImageOps, Rect}

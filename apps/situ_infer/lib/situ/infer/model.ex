@@ -1,9 +1,44 @@
 defmodule Situ.Infer.Model do
+  @moduledoc """
+  A neural network loaded from an ONNX file, with named input tensors and named output tensors.
+
+      iex> alias Situ.{Infer.Model, Tensor}
+      iex> path = Model.bundled_path("silero_vad.onnx")
+      iex> {:ok, model} = Model.load(path, inputs: %{"input" => {:f32, {nil, nil}}})
+      iex> inputs = %{
+      ...>   "input" => Tensor.zeros(:f32, {1, 576}),
+      ...>   "state" => Tensor.zeros(:f32, {2, 1, 128}),
+      ...>   "sr" => Tensor.from_list([16_000], :s64, {})
+      ...> }
+      iex> {:ok, %{"output" => probability}} = Model.run(model, inputs)
+      iex> probability.shape
+      {1, 1}
+
+  A model is loaded once and may be used by several processes at the same time. With `load_shared/2`, components that
+  name the same file and options share one copy, which is released when the last of them ends.
+
+  The model's ports are checked **at load**. `:inputs` and `:outputs` give their types and shapes; `nil` means any size,
+  and a size that the file leaves free matches anything. A wrong file therefore stops a pipeline before its first
+  message, with an error that shows both shapes.
+
+  Weights may be in separate files next to the model file (ONNX's external data, usual above 2 GB).
+
+  ## Errors
+
+  `:no_onnxruntime` (the library is missing; the load can be retried), `:no_model_file`, `:bad_model` (truncated or
+  corrupt), `:model_shape` (inputs or outputs other than the expected ones), `:no_provider`, `:bad_tensor`,
+  `:model_failed`.
+
+  ## Events
+
+  `[:situ, :infer, :load]` with the `duration` (ns) and the name of the `model`; `run_stats/1` returns the run times.
+  """
+
   @schema [
     engine: [
-      type: :module,
-      default: Situ.Infer.Engine.Ort,
-      doc: "The engine that runs the model, see `Situ.Infer.Engine`."
+      type: {:or, [{:in, [:onnxruntime]}, :module]},
+      default: :onnxruntime,
+      doc: "The engine that runs the model: ONNX Runtime, or a `Situ.Infer.Engine`."
     ],
     provider: [
       type: {:or, [{:in, [:cpu]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
@@ -51,44 +86,7 @@ defmodule Situ.Infer.Model do
     ]
   ]
 
-  @moduledoc """
-  A neural network loaded from an ONNX file, with named input tensors and named output tensors.
-
-      iex> alias Situ.{Infer.Model, Tensor}
-      iex> path = Model.bundled_path("silero_vad.onnx")
-      iex> {:ok, model} = Model.load(path, inputs: %{"input" => {:f32, {nil, nil}}})
-      iex> inputs = %{
-      ...>   "input" => Tensor.zeros(:f32, {1, 576}),
-      ...>   "state" => Tensor.zeros(:f32, {2, 1, 128}),
-      ...>   "sr" => Tensor.from_list([16_000], :s64, {})
-      ...> }
-      iex> {:ok, %{"output" => probability}} = Model.run(model, inputs)
-      iex> probability.shape
-      {1, 1}
-
-  A model is loaded once and may be used by several processes at the same time. With `load_shared/2`, components that
-  name the same file and options share one copy, which is released when the last of them ends.
-
-  The model's ports are checked **at load**. `:inputs` and `:outputs` give their types and shapes; `nil` means any size,
-  and a size that the file leaves free matches anything. A wrong file therefore stops a pipeline before its first
-  message, with an error that shows both shapes.
-
-  Weights may be in separate files next to the model file (ONNX's external data, usual above 2 GB).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:no_onnxruntime` (the library is missing; the load can be retried), `:no_model_file`, `:bad_model` (truncated or
-  corrupt), `:model_shape` (inputs or outputs other than the expected ones), `:no_provider`, `:bad_tensor`,
-  `:model_failed`.
-
-  ## Events
-
-  `[:situ, :infer, :load]` with the `duration` (ns) and the name of the `model`; `run_stats/1` returns the run times.
-  """
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
   alias Situ.{Error, Tensor}
   alias Situ.Infer.Model.PortCheck
@@ -125,7 +123,7 @@ defmodule Situ.Infer.Model do
          opts = Keyword.update!(opts, :sessions, &(&1 || System.schedulers_online())),
          started = System.monotonic_time(:nanosecond),
          settings = [{:folder, path |> Path.expand() |> Path.dirname()} | opts],
-         {:ok, loaded} <- with_path(opts[:engine].load(bytes, settings), path),
+         {:ok, loaded} <- with_path(engine_module(opts).load(bytes, settings), path),
          model = build_model(path, opts, loaded),
          :ok <- PortCheck.check_numeric(model.inputs, path),
          :ok <- PortCheck.check_ports(model.inputs, opts[:inputs], "input", path),
@@ -230,10 +228,13 @@ defmodule Situ.Infer.Model do
 
   defp with_path(result, _path), do: result
 
+  defp engine_module(opts),
+    do: if(opts[:engine] == :onnxruntime, do: Situ.Infer.Engine.Ort, else: opts[:engine])
+
   defp build_model(path, opts, loaded) do
     %__MODULE__{
       name: Path.basename(path, ".onnx"),
-      engine: opts[:engine],
+      engine: engine_module(opts),
       handle: loaded.handle,
       inputs: Map.new(loaded.inputs, fn {name, type, shape} -> {name, {type, shape}} end),
       outputs: Map.new(loaded.outputs, fn {name, type, shape} -> {name, {type, shape}} end),

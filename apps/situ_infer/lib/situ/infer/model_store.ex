@@ -1,17 +1,16 @@
 defmodule Situ.Infer.ModelStore do
-  @moduledoc """
-  Finds the models that are too large to bundle. `bin/lib/fetch-model NAME` downloads each of them once for all
-  programs on the machine.
-
-  They are in `SITU_MODELS` or, if that is not set, in `situ/models` of the user's cache folder (`XDG_CACHE_HOME`,
-  `~/.cache`), with one folder per model.
-
-  | name | purpose | size | licence |
-  |---|---|---|---|
-  | `moonshine-tiny-en` | English speech to text (`Situ.Infer.Speech.Moonshine`) | 44 MB | MIT |
-  | `hibari` | English text to speech (`Situ.Infer.Speech.Hibari`) | 8 MB | Apache-2.0 |
-  | `pp-ocr-v4` | text in images (`Situ.Infer.TextReader`) | 16 MB | Apache-2.0 |
-  """
+  @moduledoc false
+  # Finds the models that are too large to bundle. `bin/lib/fetch-model NAME` downloads each of
+  # them once for all programs on the machine.
+  #
+  # They are in `SITU_MODELS` or, if that is not set, in `situ/models` of the user's cache folder
+  # (`XDG_CACHE_HOME`, `~/.cache`), with one folder per model.
+  #
+  # | name | purpose | size | licence |
+  # |---|---|---|---|
+  # | `moonshine-tiny-en` | English speech to text (`Situ.Infer.Speech.Moonshine`) | 44 MB | MIT |
+  # | `hibari` | English text to speech (`Situ.Infer.Speech.Hibari`) | 8 MB | Apache-2.0 |
+  # | `pp-ocr-v4` | text in images (`Situ.Infer.TextReader`) | 16 MB | Apache-2.0 |
   alias Situ.Error
 
   @doc "Returns the folder that contains the models."

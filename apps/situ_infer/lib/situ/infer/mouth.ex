@@ -1,21 +1,9 @@
 defmodule Situ.Infer.Mouth do
-  @moduledoc """
-  The opening of a mouth.
-
-    * `opening`: the distance between the inner lips divided by the distance between the outer corners of the eyes;
-      about 0.0 to 0.2 when closed, depending on the face, and up to 0.4 wide open
-    * `baseline`: the opening of **this** mouth when it is closed, learned while tracking it
-    * `open?`: whether it is clearly more open than the baseline
-
-  Only changes within one face are meaningful, because one person's smile with teeth can have the same opening as
-  another person's mouth while speaking. A fixed threshold therefore fails, and each face gets a baseline that falls
-  quickly and rises slowly.
-
-      iex> mouth = Situ.Infer.Mouth.track_opening(nil, 0, 0.12)
-      iex> mouth = Situ.Infer.Mouth.track_opening(mouth, 40_000_000, 0.2)
-      iex> {mouth.open?, Float.round(mouth.baseline, 3)}
-      {true, 0.12}
-  """
+  @moduledoc false
+  # The opening of a mouth (`Situ.Infer.MouthShape` lists the fields), and its baseline. One
+  # person's smile with teeth can have the same opening as another person's mouth while speaking.
+  # A fixed threshold therefore fails, and each face gets a baseline that falls quickly and rises
+  # slowly.
   alias Situ.Infer.FaceMesh
 
   # The baseline falls by half in 80 ms (two images, so that a single bad one does not set it), and rises by a third in
@@ -42,7 +30,14 @@ defmodule Situ.Infer.Mouth do
     if eyes > 1.0e-6, do: FaceMesh.point_distance(mesh, 13, 14) / eyes, else: 0.0
   end
 
-  @doc "Updates the mouth with its next opening; `before` is `nil` for the first."
+  @doc """
+  Updates the mouth with its next opening; `before` is `nil` for the first.
+
+      iex> mouth = Situ.Infer.Mouth.track_opening(nil, 0, 0.12)
+      iex> mouth = Situ.Infer.Mouth.track_opening(mouth, 40_000_000, 0.2)
+      iex> {mouth.open?, Float.round(mouth.baseline, 3)}
+      {true, 0.12}
+  """
   @spec track_opening(t() | nil, Situ.Time.t(), float(), Situ.Rect.t() | nil) :: t()
   def track_opening(before, time, opening, rect \\ nil)
 

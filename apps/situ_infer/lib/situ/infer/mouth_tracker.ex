@@ -1,10 +1,10 @@
 defmodule Situ.Infer.MouthTracker do
-  @moduledoc """
-  Measures the mouth of every face.
-
-  Input `:in` is a list of `Situ.Infer.FaceMesh` with ids. Output `:out` is a map from id to `Situ.Infer.Mouth`, at the
-  same time. The baseline of a face that has not been found for ten seconds is dropped.
-  """
+  @moduledoc false
+  # Measures the mouth of every face.
+  #
+  # Input `:in` is a list of `Situ.Infer.FaceMesh` with ids. Output `:out` is a map from id to
+  # `Situ.Infer.Mouth`, at the same time. The baseline of a face that has not been found for ten
+  # seconds is dropped.
   use Situ.Component,
     inputs: [in: {:list, Situ.Infer.FaceMesh}],
     outputs: [out: {:map, :any, Situ.Infer.Mouth}]

@@ -1,10 +1,31 @@
 defmodule Situ.Infer.ObjectDetector do
+  @moduledoc """
+  Detects objects in images, with a YOLO network in an ONNX file.
+
+      found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
+      found.out |> Situ.via(Situ.Infer.Tracker)
+
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
+  and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
+  where the object is; a mask covers its box. A v2 network needs `scale: 1`. `version:` is the output format of the
+  network:
+
+  | version | output | a box | score |
+  |---|---|---|---|
+  | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC) | object x softmax |
+  | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
+  | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
+  | `:v10` | `{1, n, 6}` | two corners, score, class; already without overlaps | as given |
+
+  No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
+  """
+
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     version: [
       type: {:in, Situ.Infer.Detection.Yolo.supported_versions()},
       default: :v8,
-      doc: "The output format of the network, see `Situ.Infer.Detection.Yolo`."
+      doc: "The output format of the network, see the table above."
     ],
     labels: [
       type: {:or, [:string, {:list, :string}]},
@@ -38,22 +59,6 @@ defmodule Situ.Infer.ObjectDetector do
 
   @schema @own ++ Situ.Infer.Vision.ImageInput.schema(fit: :pad)
 
-  @moduledoc """
-  Detects objects in images, with a YOLO network in an ONNX file.
-
-      found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
-      found.out |> Situ.via(Situ.Infer.Tracker)
-
-  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a list of `Situ.Rect` in image pixels with label
-  and score, most likely first. With `masks:`, output `:masks` is a list of `:gray8` images, one for each box, with 255
-  where the object is; a mask covers its box. A v2 network needs `scale: 1`.
-
-  No weights are bundled. Check the licence of the weights you use (many YOLO weights are AGPL-3.0).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Rect}, masks: {:list, Situ.Image}],

@@ -1,4 +1,19 @@
 defmodule Situ.Infer.OnnxModel do
+  @moduledoc """
+  Runs any model in an ONNX file on streams of tensors, with named inputs and named outputs.
+
+      depth = Situ.Infer.OnnxModel.run(pictures, "depth.onnx", output: "depth")
+      out = Situ.Infer.OnnxModel.run(%{"image" => pictures, "text" => words}, "clip.onnx")
+
+  The file is read while the pipeline is **built**. Unknown inputs, missing streams, and types and shapes that differ
+  from `shapes:` are errors at that time, with both sides in the message. Several inputs are joined by equal originating
+  times. An output has the time of its input. Queued messages run as one batch.
+
+  ## Errors
+
+  The errors of `Situ.Infer.Model`, and `:unknown_input`, `:missing_input`, `:unknown_output`.
+  """
+
   @schema [
     shapes: [
       type: :map,
@@ -30,24 +45,8 @@ defmodule Situ.Infer.OnnxModel do
     ]
   ]
 
-  @moduledoc """
-  Runs any model in an ONNX file on streams of tensors, with named inputs and named outputs.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      depth = Situ.Infer.OnnxModel.run(pictures, "depth.onnx", output: "depth")
-      out = Situ.Infer.OnnxModel.run(%{"image" => pictures, "text" => words}, "clip.onnx")
-
-  The file is read while the pipeline is **built**. Unknown inputs, missing streams, and types and shapes that differ
-  from `shapes:` are errors at that time, with both sides in the message. Several inputs are joined by equal originating
-  times. An output has the time of its input. Queued messages run as one batch.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  The errors of `Situ.Infer.Model`, and `:unknown_input`, `:missing_input`, `:unknown_output`.
-  """
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

@@ -1,16 +1,10 @@
 defmodule Situ.Infer.Patch do
-  @moduledoc """
-  A square of an image, rotated and scaled as a network's input: the affine map from patch pixels to image pixels.
-
-  `cut_tensor/4` samples it (bilinear; black outside the image) directly into an input tensor `{1, size, size, 3}`, RGB.
-  `to_image_point/2` maps the network's results back to the image.
-
-      iex> patch = Situ.Infer.Patch.centered_at({100.0, 50.0}, 64.0, 0.0, 32)
-      iex> Situ.Infer.Patch.to_image_point(patch, {16.0, 16.0})
-      {100.0, 50.0}
-      iex> Situ.Infer.Patch.to_image_point(patch, {0.0, 0.0})
-      {68.0, 18.0}
-  """
+  @moduledoc false
+  # A square of an image, rotated and scaled as a network's input: the affine map from patch
+  # pixels to image pixels.
+  #
+  # `cut_tensor/4` samples it (bilinear; black outside the image) directly into an input tensor
+  # `{1, size, size, 3}`, RGB. `to_image_point/2` maps the network's results back to the image.
 
   alias Situ.{Error, Image, Tensor}
 
@@ -27,6 +21,12 @@ defmodule Situ.Infer.Patch do
   @doc """
   Returns the patch with the middle `center` and sides of `side` image pixels, rotated by `angle` radians (clockwise on
   the screen), sampled as `size` by `size` pixels.
+
+      iex> patch = Situ.Infer.Patch.centered_at({100.0, 50.0}, 64.0, 0.0, 32)
+      iex> Situ.Infer.Patch.to_image_point(patch, {16.0, 16.0})
+      {100.0, 50.0}
+      iex> Situ.Infer.Patch.to_image_point(patch, {0.0, 0.0})
+      {68.0, 18.0}
   """
   @spec centered_at(point(), float(), float(), pos_integer()) :: t()
   def centered_at({cx, cy}, side, angle, size) do

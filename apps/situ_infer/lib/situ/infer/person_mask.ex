@@ -1,19 +1,4 @@
 defmodule Situ.Infer.PersonMask do
-  @schema Situ.Infer.BundledModel.schema() ++
-            [
-              min_score: [
-                type: {:range, 0.01, 0.99},
-                default: 0.5,
-                doc: "The minimum score of a pixel that belongs to the person."
-              ],
-              min_share: [
-                type: {:range, 0.0, 1.0},
-                default: 0.01,
-                doc:
-                  "The minimum share of the image that a person covers; smaller areas are ignored."
-              ]
-            ]
-
   @moduledoc """
   Segments the person in front of the camera (MediaPipe's selfie segmentation).
 
@@ -35,11 +20,23 @@ defmodule Situ.Infer.PersonMask do
   One detection takes about 5 ms on one core.
 
   To use it without a pipeline, see `find_person/2`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score of a pixel that belongs to the person."
+              ],
+              min_share: [
+                type: {:range, 0.0, 1.0},
+                default: 0.01,
+                doc:
+                  "The minimum share of the image that a person covers; smaller areas are ignored."
+              ]
+            ]
+
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Rect}, masks: {:list, Situ.Image}, scores: Situ.Image],

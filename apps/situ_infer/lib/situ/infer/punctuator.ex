@@ -1,32 +1,28 @@
 defmodule Situ.Infer.Punctuator do
+  @moduledoc false
+  # Turns words into sentences (`Situ.Infer.punctuate/2`).
+
   @schema [
     punctuation: [
-      type: :module,
-      default: Situ.Infer.Speech.Punctuation.Rules,
-      doc: "The module that punctuates, a `Situ.Infer.Speech.Punctuation`."
+      type: {:or, [{:in, [:rules]}, :module]},
+      default: :rules,
+      doc: "Rules for English, or a module that punctuates, a `Situ.Infer.Speech.Punctuation`."
     ],
-    options: [type: :keyword, default: [], doc: "Options for its `load/1`."]
+    options: [type: :keyword, default: [], doc: "Options for the module's `load/1`."]
   ]
 
-  @moduledoc """
-  Turns words into sentences (`Situ.Infer.punctuate/2`). Input and output are `Situ.Infer.Speech.Utterance`s at the same
-  times.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.Infer.Speech.Utterance],
     outputs: [out: Situ.Infer.Speech.Utterance],
     options: @schema
 
   alias Situ.Error
+  alias Situ.Infer.Speech.Punctuation.Rules
 
   @impl true
   def init(opts) do
-    with {:ok, punctuation} <- opts[:punctuation].load(opts[:options]),
-         do: {:ok, {opts[:punctuation], punctuation}}
+    module = if opts[:punctuation] == :rules, do: Rules, else: opts[:punctuation]
+    with {:ok, punctuation} <- module.load(opts[:options]), do: {:ok, {module, punctuation}}
   end
 
   @impl true

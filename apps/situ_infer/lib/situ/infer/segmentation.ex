@@ -1,4 +1,12 @@
 defmodule Situ.Infer.Segmentation do
+  @moduledoc """
+  Classifies each pixel of an image with any network that scores classes for pixels (DeepLab, FCN ...).
+
+  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a `:gray8` image of the network's size whose values
+  are the numbers of the most likely classes (up to 256). With `fit: :pad`, the default here, it covers the square
+  around the image; with `:crop`, the square in its middle.
+  """
+
   alias Situ.Infer.Vision.ImageInput
 
   @own [
@@ -18,17 +26,6 @@ defmodule Situ.Infer.Segmentation do
 
   @schema @own ++ ImageInput.schema([fit: :pad] ++ ImageInput.imagenet_options())
 
-  @moduledoc """
-  Classifies each pixel of an image with any network that scores classes for pixels (DeepLab, FCN ...).
-
-  Input `:in` is a `Situ.Image` of an 8-bit format. Output `:out` is a `:gray8` image of the network's size whose values
-  are the numbers of the most likely classes (up to 256). With `fit: :pad`, the default here, it covers the square
-  around the image; with `:crop`, the square in its middle.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, inputs: [in: Situ.Image], outputs: [out: Situ.Image], options: @schema
 
   alias Situ.{Error, Image}

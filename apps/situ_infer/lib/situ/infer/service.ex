@@ -1,4 +1,11 @@
 defmodule Situ.Infer.Service do
+  @moduledoc false
+  # A network service: its URL, the key, the time limits and the retries. All requests to speech,
+  # vision and language services use this module, which is built on `Situ.Infer.Http`.
+  #
+  # Keys are read from the environment when they are sent, and are never in options, states,
+  # errors, logs or URLs. A key is sent only over TLS or to this machine.
+
   @schema [
             retries: [
               type: :non_neg_integer,
@@ -17,26 +24,6 @@ defmodule Situ.Infer.Service do
             ]
           ] ++ Situ.Infer.Http.schema()
 
-  @moduledoc """
-  A network service: its URL, the key, the time limits and the retries. All requests to speech, vision and language
-  services use this module, which is built on `Situ.Infer.Http`.
-
-      {:ok, service} = Situ.Infer.Service.new("https://api.openai.com/v1", key: "OPENAI_API_KEY")
-      json = [{"content-type", "application/json"}]
-      {:ok, body} = Situ.Infer.Service.post(service, "/audio/speech", json, request)
-
-  Keys are read from the environment when they are sent, and are never in options, states, errors, logs or URLs. A key
-  is sent only over TLS or to this machine.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  The errors of `Situ.Infer.Http`, and `:not_private`, `:no_key`, `:refused` (the service rejects the request, for
-  example because of an invalid key or an unknown model), `:service_failed` (a temporary failure), `:too_long`.
-  """
   alias Situ.Error
   alias Situ.Infer.{Http, Service.Refusal}
 
@@ -73,6 +60,15 @@ defmodule Situ.Infer.Service do
     ]
 
     key ++ @schema
+  end
+
+  @doc "Returns the error codes of a service as text, for the documentation of modules that use one."
+  @spec describe_errors() :: String.t()
+  def describe_errors do
+    "`:no_key` (the environment variable is not set), `:not_private` (a key would be sent without TLS), `:refused` " <>
+      "(an invalid key or an unknown model, for example), `:service_failed` (a temporary failure), `:bad_url`, " <>
+      "`:bad_header`, `:no_connection`, `:not_trusted` (the certificate), `:timeout`, `:cut_off`, `:bad_response`, " <>
+      "`:too_long`"
   end
 
   @doc """

@@ -1,17 +1,4 @@
 defmodule Situ.Infer.SimpleVad do
-  @schema [
-    threshold: [
-      type: :number,
-      default: 7.0,
-      doc: "The log energy that separates noise from speech."
-    ],
-    window: [
-      type: :time_ns,
-      default: 300_000_000,
-      doc: "How far ahead all values must agree, in ns."
-    ]
-  ]
-
   @moduledoc """
   Detects voice activity from log energy alone, by unanimity. Speech starts where all values of the next 300 ms are
   above the threshold, and ends where all of them are below it; otherwise the state is unchanged.
@@ -27,11 +14,21 @@ defmodule Situ.Infer.SimpleVad do
       iex> {out, _} = Situ.Infer.SimpleVad.push(vad, 20, 8.0)
       iex> out
       [{0, true}]
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    threshold: [
+      type: :number,
+      default: 7.0,
+      doc: "The log energy that separates noise from speech."
+    ],
+    window: [
+      type: :time_ns,
+      default: 300_000_000,
+      doc: "How far ahead all values must agree, in ns."
+    ]
+  ]
+
   use Situ.Component, inputs: [in: :number], outputs: [out: :boolean], options: @schema
 
   defstruct [:threshold, :window, speaking?: false, ahead: :queue.new()]

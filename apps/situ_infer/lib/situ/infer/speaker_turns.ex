@@ -1,4 +1,10 @@
 defmodule Situ.Infer.SpeakerTurns do
+  @moduledoc false
+  # Cuts speech where another face takes over without a pause (`Situ.Infer.turns/3`). Input
+  # `:heard` is `{speaking?, voice}`, `:who` contains which faces speak, and output `:out` is
+  # `speaking?` again, with a `false` near each change of speaker. The output depends on the
+  # messages alone.
+
   @schema [
     shortest: [
       type: :time_ns,
@@ -13,24 +19,6 @@ defmodule Situ.Infer.SpeakerTurns do
     ]
   ]
 
-  @moduledoc """
-  Cuts speech where another face takes over without a pause, so that each utterance belongs to one person.
-
-  Input `:heard` is `{speaking?, voice}`, both from `Situ.Infer.VoiceActivity`; `:who` contains which faces speak
-  (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, but with a `false` at the most likely moment near
-  each change of speaker, where the voice is weakest or quiet. `Situ.Infer.turns/2` joins the necessary streams:
-
-      hear = Situ.via(sound, Situ.Infer.VoiceActivity)
-      who = Situ.Infer.who_speaks(mouths, hear.voice)
-      inputs = [sound: sound, speaking: Situ.Infer.turns(hear, who)]
-      said = Situ.via(inputs, Situ.Infer.SpeechRecognizer, turns: true)
-
-  A change is known only after it happens, so values are held back for 2.2 s. The output depends on the messages alone.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [
       heard: {:tuple, [:boolean, Situ.Infer.Voice]},

@@ -1,4 +1,21 @@
 defmodule Situ.Infer.SpeechRecognizer do
+  @moduledoc """
+  Converts speech to text: the words between two pauses, and partial results during speech.
+
+  Input `:sound` is audio (`Situ.AudioBuffer`). Input `:speaking` is whether somebody speaks, from
+  `Situ.Infer.VoiceActivity`, because recognizers invent words in noise. Output `:out` is a
+  `Situ.Infer.Speech.Utterance` at the time when the speech ended; `:partial` emits one during the speech.
+
+      speaking = Situ.Infer.voice_activity(sound)
+      heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
+      heard.out |> Situ.each(&IO.puts(&1.text))
+
+  A message on the optional input `:options` (a keyword list, such as `[grammar: other]`) changes `recognizer_options`
+  at run time.
+
+  The output depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` adds voice activity.
+  """
+
   @schema [
     recognizer: [
       type: :module,
@@ -52,26 +69,6 @@ defmodule Situ.Infer.SpeechRecognizer do
     ]
   ]
 
-  @moduledoc """
-  Converts speech to text: the words between two pauses, and partial results during speech.
-
-  Input `:sound` is audio (`Situ.AudioBuffer`). Input `:speaking` is whether somebody speaks, from
-  `Situ.Infer.VoiceActivity`, because recognizers invent words in noise. Output `:out` is a
-  `Situ.Infer.Speech.Utterance` at the time when the speech ended; `:partial` emits one during the speech.
-
-      speaking = Situ.Infer.voice_activity(sound)
-      heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
-      heard.out |> Situ.each(&IO.puts(&1.text))
-
-  A message on the optional input `:options` (a keyword list, such as `[grammar: other]`) changes `recognizer_options`
-  at run time.
-
-  The output depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` adds voice activity.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [sound: Situ.AudioBuffer, speaking: :boolean, options: {:any, optional: true}],
     outputs: [out: Situ.Infer.Speech.Utterance, partial: Situ.Infer.Speech.Utterance],

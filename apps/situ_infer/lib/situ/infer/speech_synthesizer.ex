@@ -1,4 +1,20 @@
 defmodule Situ.Infer.SpeechSynthesizer do
+  @moduledoc """
+  Converts text to speech.
+
+  Input `:in` is text. Output `:out` is the audio of each text as one `Situ.AudioBuffer` (16-bit mono). It starts when
+  the text arrives, or when the previous audio ends, and its time is the time of its end. Texts without words produce no
+  audio, and the audio of a repeated text comes from a cache.
+
+      answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"]).out
+
+  With `marks: true`, the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
+  when it starts to be spoken. Not every synthesizer supports them
+  (`c:Situ.Infer.Speech.Synthesizer.speak_with_marks/2`). `Situ.Annotation.Spans` converts them to annotations.
+
+  The audio is emitted as soon as it is synthesized, however long it is.
+  """
+
   @schema [
     synthesizer: [
       type: :module,
@@ -29,26 +45,6 @@ defmodule Situ.Infer.SpeechSynthesizer do
     ]
   ]
 
-  @moduledoc """
-  Converts text to speech.
-
-  Input `:in` is text. Output `:out` is the audio of each text as one `Situ.AudioBuffer` (16-bit mono). It starts when
-  the text arrives, or when the previous audio ends, and its time is the time of its end. Texts without words produce no
-  audio, and the audio of a repeated text comes from a cache.
-
-      answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"]).out
-
-  With `marks: true`, the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
-  when it starts to be spoken. Not every synthesizer supports them
-  (`c:Situ.Infer.Speech.Synthesizer.speak_with_marks/2`). `Situ.Annotation.Spans` converts them to annotations.
-
-  The audio is emitted as soon as it is synthesized, however long it is. `Situ.Assistant.Player` plays it in real time,
-  in chunks, and can be stopped.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: :string],
     outputs: [

@@ -1,18 +1,17 @@
 defmodule Situ.Infer.Suppression do
-  @moduledoc """
-  Non-maximum suppression: of overlapping detections, only the best one is kept. Pure.
-
-      iex> box = fn x, score -> %{x: x, y: 0.0, width: 10.0, height: 10.0, class: 0, score: score} end
-      iex> best = Situ.Infer.Suppression.suppress_boxes([box.(0.0, 0.6), box.(1.0, 0.9), box.(20.0, 0.5)], 0.5)
-      iex> Enum.map(best, & &1.x)
-      [1.0, 20.0]
-  """
+  @moduledoc false
+  # Non-maximum suppression: of overlapping detections, only the best one is kept. Pure.
   alias Situ.Infer.Face
   alias Situ.Rect
 
   @doc """
   Returns at most `most` boxes by score. A box is dropped if it overlaps a better box of its class by more than `limit`
   (intersection over union).
+
+      iex> box = fn x, score -> %{x: x, y: 0.0, width: 10.0, height: 10.0, class: 0, score: score} end
+      iex> best = Situ.Infer.Suppression.suppress_boxes([box.(0.0, 0.6), box.(1.0, 0.9), box.(20.0, 0.5)], 0.5)
+      iex> Enum.map(best, & &1.x)
+      [1.0, 20.0]
   """
   @spec suppress_boxes([box], float(), pos_integer()) :: [box] when box: map()
   def suppress_boxes(boxes, limit, most \\ 300) do

@@ -1,9 +1,28 @@
 defmodule Situ.Infer.TextReader do
+  @moduledoc """
+  Reads text in images: signs, labels, screens, pages; Latin letters, digits and Chinese.
+
+      texts = Situ.via(pictures, Situ.Infer.TextReader)
+      Situ.each(texts, fn lines -> for line <- lines, do: IO.puts(line.label) end)
+
+  Input `:in` is images (`Situ.Image`, 8 bits). Output `:out` is a list for each image, at its time. It contains the
+  lines from top to bottom as `Situ.Rect` (upright around the line, in image pixels), with the text as label and a
+  score. The studio draws them over the image. Lines may be rotated, and may run downwards.
+
+  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines, and the other reads each
+  line. An image takes about half a second on one core, so use `Situ.Delivery.latest()` for a camera. `read_lines/2`
+  reads a single image.
+
+  ## Errors
+
+  `:bad_image`, and the errors of `Situ.Infer.Model`.
+  """
+
   @schema [
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "The folder with the two files of PP-OCRv4; `nil` uses `Situ.Infer.ModelStore`."
+      doc: "The folder with the two files of PP-OCRv4; `nil`: where `fetch-model` puts them."
     ],
     side: [
       type: {:range, 64, 4_096},
@@ -22,28 +41,6 @@ defmodule Situ.Infer.TextReader do
     ]
   ]
 
-  @moduledoc """
-  Reads text in images: signs, labels, screens, pages; Latin letters, digits and Chinese.
-
-      texts = Situ.via(pictures, Situ.Infer.TextReader)
-      Situ.each(texts, fn lines -> for line <- lines, do: IO.puts(line.label) end)
-
-  Input `:in` is images (`Situ.Image`, 8 bits). Output `:out` is a list for each image, at its time. It contains the
-  lines from top to bottom as `Situ.Rect` (upright around the line, in image pixels), with the text as label and a
-  score. The studio draws them over the image. Lines may be rotated, and may run downwards.
-
-  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
-  (`Situ.Infer.Vision.TextRegions`), and the other reads each line. An image takes about half a second on one core, so
-  use `Situ.Delivery.latest()` for a camera. `read_lines/2` reads a single image.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:bad_image`, and the errors of `Situ.Infer.Model`.
-  """
   use Situ.Component,
     inputs: [in: Situ.Image],
     outputs: [out: {:list, Situ.Rect}],

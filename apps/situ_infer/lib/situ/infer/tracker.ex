@@ -1,4 +1,25 @@
 defmodule Situ.Infer.Tracker do
+  @moduledoc """
+  Gives the objects of a detector persistent ids (SORT; Bewley et al., 2016). A box is matched with the object whose
+  expected position it overlaps most, best pair first.
+
+  Input and output are lists of `Situ.Rect`. Each emitted rectangle has its object's number in `id` (0, 1 ... in order
+  of appearance, and from left to right within an image), and the list is in order of the ids. The boxes are unchanged.
+  An object that is missing for longer than `max_missing:` gets a new id when it returns. With a Kalman filter, an
+  object that is hidden by another one while it moves is found again on the other side.
+
+      found.out |> Situ.via(Situ.Infer.Tracker, min_hits: 3)
+
+  The pure functions also work without a pipeline:
+
+      iex> alias Situ.{Infer.Tracker, Rect}
+      iex> boxes = fn xs -> for x <- xs, do: Rect.new!(x, 0, 20, 20) end
+      iex> {_, tracker} = Tracker.update_tracks(Tracker.new(), 0, boxes.([50, 0]))
+      iex> {rects, _} = Tracker.update_tracks(tracker, 40_000_000, boxes.([4, 46]))
+      iex> Enum.map(rects, &{&1.x, &1.id})
+      [{4, 0}, {46, 1}]
+  """
+
   @schema [
     motion: [
       type: {:in, [:kalman, :none]},
@@ -29,30 +50,6 @@ defmodule Situ.Infer.Tracker do
     ]
   ]
 
-  @moduledoc """
-  Gives the objects of a detector persistent ids (SORT; Bewley et al., 2016). A box is matched with the object whose
-  expected position it overlaps most, best pair first.
-
-  Input and output are lists of `Situ.Rect`. Each emitted rectangle has its object's number in `id` (0, 1 ... in order
-  of appearance, and from left to right within an image), and the list is in order of the ids. The boxes are unchanged.
-  An object that is missing for longer than `max_missing:` gets a new id when it returns. With a Kalman filter, an
-  object that is hidden by another one while it moves is found again on the other side.
-
-      found.out |> Situ.via(Situ.Infer.Tracker, min_hits: 3)
-
-  The pure functions also work without a pipeline:
-
-      iex> alias Situ.{Infer.Tracker, Rect}
-      iex> boxes = fn xs -> for x <- xs, do: Rect.new!(x, 0, 20, 20) end
-      iex> {_, tracker} = Tracker.update_tracks(Tracker.new(), 0, boxes.([50, 0]))
-      iex> {rects, _} = Tracker.update_tracks(tracker, 40_000_000, boxes.([4, 46]))
-      iex> Enum.map(rects, &{&1.x, &1.id})
-      [{4, 0}, {46, 1}]
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: {:list, Situ.Rect}],
     outputs: [out: {:list, Situ.Rect}],

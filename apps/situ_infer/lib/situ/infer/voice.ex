@@ -1,10 +1,9 @@
 defmodule Situ.Infer.Voice do
-  @moduledoc """
-  The voice activity in one short span of audio.
-
-    * `probability`: the probability that somebody speaks, 0..1
-    * `level`: the root mean square of the samples, 0..1 of full scale
-  """
+  @moduledoc false
+  # The voice activity in one short span of audio.
+  #
+  #   * `probability`: the probability that somebody speaks, 0..1
+  #   * `level`: the root mean square of the samples, 0..1 of full scale
   @enforce_keys [:probability, :level]
   defstruct [:probability, :level]
 

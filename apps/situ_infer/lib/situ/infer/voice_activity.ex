@@ -1,4 +1,31 @@
 defmodule Situ.Infer.VoiceActivity do
+  @moduledoc """
+  Detects whether somebody speaks.
+
+  Input `:in` is 16 kHz mono audio (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of audio
+  produce a message on each of the first two outputs, at the time of their end.
+
+  | output | content | delay |
+  |---|---|---|
+  | `:voice` | a struct with `probability`, that somebody speaks (0..1), and `level`, the root mean square (0..1) | none |
+  | `:speaking` | a boolean: whether somebody speaks | up to `:min_silence` |
+  | `:segments` | after each segment of speech, a struct with its `start` and `stop` (ns) | up to `:min_silence` |
+
+      %{speaking: speaking, segments: segments} =
+        Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
+
+  Two thresholds prevent flickering of `:speaking`; short bursts are ignored, and short pauses are part of the speech.
+  Whether a pause is short is known only after it. With `decide: :exact`, the values of a pause are therefore held back,
+  and the result is the same for a live stream and a recording.
+
+  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` do the same, but return a single output. A gap of more than
+  0.1 s in the audio resets the detector. Silero takes about 0.15 ms per message, on the component's own scheduler.
+
+  ## Errors
+
+  `:bad_audio_format` (resample first), and the errors of `Situ.Infer.Model`.
+  """
+
   @schema [
             detector: [
               type: {:or, [{:in, [:silero, :energy]}, :module]},
@@ -19,30 +46,6 @@ defmodule Situ.Infer.VoiceActivity do
             ]
           ] ++ Situ.Infer.BundledModel.schema() ++ Situ.Infer.VoiceGate.schema()
 
-  @moduledoc """
-  Detects whether somebody speaks.
-
-  Input `:in` is 16 kHz mono audio (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of audio
-  produce a message on each of the first two outputs, at the time of their end:
-
-    * `:voice`: a `Situ.Infer.Voice`, probability and level, without delay;
-    * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`; up to `:min_silence` later;
-    * `:segments`: a `Situ.Infer.VoiceSegment` after each segment of speech, at its end.
-
-        %{speaking: speaking, segments: segments} =
-          Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
-
-  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` do the same, but return a single output. A gap of more than
-  0.1 s in the audio resets the detector. Silero takes about 0.15 ms per message, on the component's own scheduler.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:bad_audio_format` (resample first), and the errors of `Situ.Infer.Model`.
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [

@@ -1,4 +1,9 @@
 defmodule Situ.Infer.VoiceGate do
+  @moduledoc false
+  # Converts the probability of speech to a boolean, with hysteresis, and to segments. Pure.
+  # `Situ.Infer.VoiceActivity` describes the behaviour. With `decide: :exact`, values are held back
+  # until the pause ends or becomes too long, so the output has no trailing speech.
+
   @schema [
     on: [type: {:range, 0, 1}, default: 0.5, doc: "Speech starts at this probability."],
     off: [type: {:range, 0, 1}, default: 0.35, doc: "Speech ends below this probability."],
@@ -21,31 +26,6 @@ defmodule Situ.Infer.VoiceGate do
     ]
   ]
 
-  @moduledoc """
-  Converts the probability of speech to a boolean, with hysteresis, and to segments. Pure.
-
-  Two thresholds prevent flickering; short bursts are ignored, and short pauses are part of the speech. The length of a
-  pause is known only after it, so with `decide: :exact` the values of a pause are held back until it ends or becomes
-  too long. The output then has no trailing speech, and is the same for a live stream and a recording.
-
-      iex> gate = Situ.Infer.VoiceGate.new(min_speech: 0, min_silence: 20)
-      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 10, 10, 0.9)
-      iex> out
-      [{10, true}]
-      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 20, 10, 0.1)
-      iex> out
-      []
-      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 30, 10, 0.1)
-      iex> out
-      [{20, false}, {30, false}, {:segment, 0, 10}]
-      iex> Situ.Infer.VoiceGate.close(gate) |> elem(0)
-      []
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
-
   defstruct [:opts, open: nil, last: nil, sure?: false, pending: []]
 
   @type t :: %__MODULE__{
@@ -62,7 +42,22 @@ defmodule Situ.Infer.VoiceGate do
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
-  @doc "Returns a closed gate."
+  @doc """
+  Returns a closed gate.
+
+      iex> gate = Situ.Infer.VoiceGate.new(min_speech: 0, min_silence: 20)
+      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 10, 10, 0.9)
+      iex> out
+      [{10, true}]
+      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 20, 10, 0.1)
+      iex> out
+      []
+      iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 30, 10, 0.1)
+      iex> out
+      [{20, false}, {30, false}, {:segment, 0, 10}]
+      iex> Situ.Infer.VoiceGate.close(gate) |> elem(0)
+      []
+  """
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
 

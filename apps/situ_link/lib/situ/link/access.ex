@@ -1,16 +1,12 @@
 defmodule Situ.Link.Access do
-  @moduledoc """
-  Resolves the token and the TLS options of a link when the caller has only an address: on a command line, in the
-  studio, or in a dataset.
-
-  The token comes from the first of these sources that has one: the option `token:`,
-  `config :situ_link, tokens: %{"lab1" => "..."}` (by the host of the address), the environment variable
-  `SITU_TOKEN`, and the first line of the file named by `SITU_TOKEN_FILE`. The TLS options come from `tls:`.
-
-      iex> {:ok, address} = Situ.Link.Address.parse("situ://lab1/lobby")
-      iex> Situ.Link.Access.new(address, token: "secret")
-      {:ok, %{token: "secret", tls: []}}
-  """
+  @moduledoc false
+  # Resolves the token and the TLS options of a link when the caller has only an address: on a
+  # command line, in the studio, or in a dataset.
+  #
+  # The token comes from the first of these sources that has one: the option `token:`, `config
+  # :situ_link, tokens: %{"lab1" => "..."}` (by the host of the address), the environment variable
+  # `SITU_TOKEN`, and the first line of the file named by `SITU_TOKEN_FILE`. The TLS options come
+  # from `tls:`.
   alias Situ.{Error, Options}
   alias Situ.Link.Address
 
@@ -25,6 +21,10 @@ defmodule Situ.Link.Access do
   Returns the token and the TLS options for `address`.
 
   Errors: invalid options, and `:no_token` if the token file cannot be read.
+
+      iex> {:ok, address} = Situ.Link.Address.parse("situ://lab1/lobby")
+      iex> Situ.Link.Access.new(address, token: "secret")
+      {:ok, %{token: "secret", tls: []}}
   """
   @spec new(Address.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%Address{} = address, opts) do

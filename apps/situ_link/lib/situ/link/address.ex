@@ -1,32 +1,21 @@
 defmodule Situ.Link.Address do
-  @moduledoc """
-  Parses the address of a link: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
-
-  `situs://host/name?fingerprint=...` pins the server's certificate by its SHA-256 fingerprint (64 hexadecimal digits).
-  Any other certificate is rejected, even if a trusted authority signed it. `bin/situ serve --tls` prints the full
-  address.
-
-  A host without a port is first looked up among the configured names:
-
-      config :situ_link, names: %{"lab1" => "situs://10.0.0.3:11500"}
-
-  With `config :situ_link, nats: "nats://lab0:4222"` it is then looked up among the processes that find one another
-  over NATS (`Situ.Link.Rendezvous`). After that it is looked up as a DNS service (`_situ._tcp.lab1`, SRV), using the
-  system's resolver or `config :situ_link, nameservers: [{{10, 0, 0, 53}, 53}]`. If none of these knows the name, it
-  is used as a hostname.
-
-      iex> {:ok, address} = Situ.Link.Address.parse("situ://lab1:4000/lobby")
-      iex> {address.transport, address.host, address.port, address.name}
-      {:tcp, "lab1", 4000, "lobby"}
-      iex> {:ok, address} = Situ.Link.Address.parse("situ+unix:///run/situ/lab?lobby")
-      iex> {address.transport, address.path, address.name}
-      {:unix, "/run/situ/lab", "lobby"}
-      iex> {:error, error} = Situ.Link.Address.parse("http://lab1/")
-      iex> error.code
-      :bad_address
-      iex> Situ.Link.Address.to_string(address)
-      "situ+unix:///run/situ/lab?lobby"
-  """
+  @moduledoc false
+  # Parses the address of a link: `situ://host:port/name`, `situs://...` (TLS), or
+  # `situ+unix:///path/of/socket?name`.
+  #
+  # `situs://host/name?fingerprint=...` pins the server's certificate by its SHA-256 fingerprint
+  # (64 hexadecimal digits). Any other certificate is rejected, even if a trusted authority signed
+  # it. `bin/situ serve --tls` prints the full address.
+  #
+  # A host without a port is first looked up among the configured names:
+  #
+  #     config :situ_link, names: %{"lab1" => "situs://10.0.0.3:11500"}
+  #
+  # With `config :situ_link, nats: "nats://lab0:4222"` it is then looked up among the processes
+  # that find one another over NATS (`Situ.Link.Rendezvous`). After that it is looked up as a DNS
+  # service (`_situ._tcp.lab1`, SRV), using the system's resolver or `config :situ_link,
+  # nameservers: [{{10, 0, 0, 53}, 53}]`. If none of these knows the name, it is used as a
+  # hostname.
   alias Situ.Error
   alias Situ.Link.Rendezvous.NatsMember
 
@@ -55,7 +44,21 @@ defmodule Situ.Link.Address do
 
   def address?(_other), do: false
 
-  @doc "Parses an address. Errors: `:bad_address`."
+  @doc """
+  Parses an address. Errors: `:bad_address`.
+
+      iex> {:ok, address} = Situ.Link.Address.parse("situ://lab1:4000/lobby")
+      iex> {address.transport, address.host, address.port, address.name}
+      {:tcp, "lab1", 4000, "lobby"}
+      iex> {:ok, address} = Situ.Link.Address.parse("situ+unix:///run/situ/lab?lobby")
+      iex> {address.transport, address.path, address.name}
+      {:unix, "/run/situ/lab", "lobby"}
+      iex> {:error, error} = Situ.Link.Address.parse("http://lab1/")
+      iex> error.code
+      :bad_address
+      iex> Situ.Link.Address.to_string(address)
+      "situ+unix:///run/situ/lab?lobby"
+  """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) when is_binary(text) do
     uri = URI.parse(text)

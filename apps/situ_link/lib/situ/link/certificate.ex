@@ -1,15 +1,15 @@
 defmodule Situ.Link.Certificate do
-  @moduledoc """
-  Creates self-issued TLS certificates for servers that were not given one. Browsers ask once whether to trust such a
-  certificate; link clients recognize it by its fingerprint.
-
-      {:ok, tls} = Situ.Link.Certificate.ensure_files("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
-      :ssl.listen(443, tls)
-
-  To trust the server, a program loads `authority.pem` from the same folder as a certificate authority. The key never
-  leaves the folder, and only its owner can read it. An existing certificate is reused if it names all of these hosts
-  and is valid for at least another week, so that browser exceptions remain valid.
-  """
+  @moduledoc false
+  # Creates self-issued TLS certificates for servers that were not given one. Browsers ask once
+  # whether to trust such a certificate; link clients recognize it by its fingerprint.
+  #
+  #     {:ok, tls} = Situ.Link.Certificate.ensure_files("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
+  #     :ssl.listen(443, tls)
+  #
+  # To trust the server, a program loads `authority.pem` from the same folder as a certificate
+  # authority. The key never leaves the folder, and only its owner can read it. An existing
+  # certificate is reused if it names all of these hosts and is valid for at least another week,
+  # so that browser exceptions remain valid.
   alias Situ.Error
   require Record
 

@@ -1,19 +1,11 @@
 defmodule Situ.Link.Position do
-  @moduledoc """
-  Saves the positions of a link's streams in a file that survives a kill or a power failure at any moment.
-
-  A position is an originating time of the sender's clock. All messages up to it were consumed. The file is JSON. It is
-  written under a temporary name, synced to the disk and then renamed, so that a complete file always exists.
-
-      iex> path = Path.join(System.tmp_dir!(), "situ-doc-position.json")
-      iex> Situ.Link.Position.save(path, %{"imu" => 1_700_000_000_000_000_001})
-      :ok
-      iex> Situ.Link.Position.load(path)
-      {:ok, %{"imu" => 1_700_000_000_000_000_001}}
-      iex> File.rm!(path)
-      iex> Situ.Link.Position.load(path)
-      {:ok, %{}}
-  """
+  @moduledoc false
+  # Saves the positions of a link's streams in a file that survives a kill or a power failure at
+  # any moment.
+  #
+  # A position is an originating time of the sender's clock. All messages up to it were consumed.
+  # The file is JSON. It is written under a temporary name, synced to the disk and then renamed,
+  # so that a complete file always exists.
   alias Situ.{Error, JSON}
   alias Situ.Link.Address
 
@@ -50,7 +42,18 @@ defmodule Situ.Link.Position do
     end
   end
 
-  @doc "Saves the positions. Errors: `:io`."
+  @doc """
+  Saves the positions. Errors: `:io`.
+
+      iex> path = Path.join(System.tmp_dir!(), "situ-doc-position.json")
+      iex> Situ.Link.Position.save(path, %{"imu" => 1_700_000_000_000_000_001})
+      :ok
+      iex> Situ.Link.Position.load(path)
+      {:ok, %{"imu" => 1_700_000_000_000_000_001}}
+      iex> File.rm!(path)
+      iex> Situ.Link.Position.load(path)
+      {:ok, %{}}
+  """
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(path, positions) do
     tmp = path <> ".unfinished"

@@ -1,36 +1,25 @@
 defmodule Situ.Link.Recording do
-  @moduledoc """
-  Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`. This also works in
-  `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
-
-      {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
-      Situ.Store.streams(store)
-
-  The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may include a version
-  (`situ://lab1/lobby.0003`). Without one, the newest version at the time of opening is used from then on. The server
-  sends only the requested data: the summary of a day is a few kilobytes. If the connection is lost, the next request
-  opens it again. Until that succeeds, requests fail with `:link_lost` or `:unreachable`.
-
-  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken from
-  `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable `SITU_TOKEN`, or from the first line
-  of the file named by `SITU_TOKEN_FILE`. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only
-  that certificate is accepted.
-
-      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
-      iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
-      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Open", type: :boolean)
-      iex> message = %Situ.Message{data: true, originating_time: 7, creation_time: 8, sequence_id: 1}
-      iex> {:ok, _} = Situ.Store.Writer.append(stream, [message])
-      iex> :ok = Situ.Store.Writer.close(writer)
-      iex> {:ok, server} = Situ.Link.serve(writer.path, port: 0)
-      iex> {:ok, store} = Situ.Store.open("situ://127.0.0.1:\#{Situ.Link.Server.port(server)}/door")
-      iex> for m <- Situ.Store.messages(store, "Open"), do: {m.originating_time, m.data}
-      [{7, true}]
-      iex> Situ.Link.Server.close(server)
-      iex> File.rm_rf!(root)
-  """
+  @moduledoc false
+  # Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`.
+  # This also works in `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
+  #
+  #     {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
+  #     Situ.Store.streams(store)
+  #
+  # The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may
+  # include a version (`situ://lab1/lobby.0003`). Without one, the newest version at the time of
+  # opening is used from then on. The server sends only the requested data: the summary of a day
+  # is a few kilobytes. If the connection is lost, the next request opens it again. Until that
+  # succeeds, requests fail with `:link_lost` or `:unreachable`.
+  #
+  # Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken
+  # from `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable
+  # `SITU_TOKEN`, or from the first line of the file named by `SITU_TOKEN_FILE`. With a
+  # fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only that certificate is
+  # accepted.
   # See docs/adr/0115-remote-recordings-answer-requests.md.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.Error
   alias Situ.Link.{Access, Address}
   alias Situ.Link.Wire.Dialer
@@ -59,7 +48,7 @@ defmodule Situ.Link.Recording do
 
   # Lists the addresses of a server's recordings. An address that already has a name is returned unchanged.
   @impl true
-  def within(text) do
+  def list_recordings(text) do
     with {:ok, %{name: ""} = address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, []),
          {:ok, names} <- Dialer.list_recordings(address, access) do
@@ -82,7 +71,7 @@ defmodule Situ.Link.Recording do
   end
 
   @impl true
-  def stream_named(state, name) do
+  def stream(state, name) do
     request = %{"op" => "stream", "stream" => name}
 
     with {:ok, [info]} <-
@@ -159,7 +148,7 @@ defmodule Situ.Link.Recording do
       |> Error.unwrap!()
 
   @impl true
-  def await(state, known, pid, tag) do
+  def notify(state, known, pid, tag) do
     request = %{"op" => "await", "known" => known, "version" => state.version}
     Client.await_notice(state.address, state.access, request, {pid, tag})
   end

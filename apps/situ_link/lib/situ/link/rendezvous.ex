@@ -1,4 +1,35 @@
 defmodule Situ.Link.Rendezvous do
+  @moduledoc """
+  Lets processes on several machines find one another: each announces its endpoints, and learns when others join or
+  leave.
+
+      iex> alias Situ.Link.Rendezvous
+      iex> {:ok, server} = Rendezvous.serve(port: 0)
+      iex> offers = [{:address, "situ://10.0.0.7/robot", [{"imu", ":float"}]}]
+      iex> port = Rendezvous.port(server)
+      iex> {:ok, robot} = Rendezvous.join("127.0.0.1", port: port, name: "robot", endpoints: offers)
+      iex> {:ok, desk} = Rendezvous.join("127.0.0.1", port: port, name: "desk", listener: self())
+      iex> receive do {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: endpoints}}} -> endpoints end
+      [{:address, "situ://10.0.0.7/robot", [{"imu", ":float"}]}]
+      iex> GenServer.stop(robot)
+      iex> receive do {:situ_rendezvous, ^desk, event} -> event end
+      {:removed, "robot"}
+
+  The protocol is \\psi's, version 2 (`Situ.Link.Rendezvous.Protocol`), so \\psi's processes can take part. When a
+  client dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not
+  delay the others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same
+  name, the others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when
+  that one leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback
+  address or a separate network. The server disconnects a client that does not send a greeting, or does not complete a
+  message, within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced
+  nothing.
+
+  If the log already uses a NATS server, no other server is needed.
+  `join("nats://lab1:4222,lab2:4222", name: "robot", ...)` does the same over NATS, including its clusters, leaf links,
+  accounts and TLS (JetStream is not needed). With `config :situ_link, nats: "nats://lab1:4222"` the names of such
+  processes can be used in addresses: `situ://robot` resolves to the first link that the process `robot` offers.
+  """
+
   @serve [
     port: [type: {:range, 0, 65_535}, default: 13_331, doc: "The port; 0 selects any free port."],
     interface: [
@@ -46,36 +77,6 @@ defmodule Situ.Link.Rendezvous do
     ]
   ]
 
-  @moduledoc """
-  Lets processes on several machines find one another: each announces its endpoints, and learns when others join or
-  leave.
-
-      iex> alias Situ.Link.Rendezvous
-      iex> {:ok, server} = Rendezvous.serve(port: 0)
-      iex> offers = [{:address, "situ://10.0.0.7/robot", [{"imu", ":float"}]}]
-      iex> port = Rendezvous.port(server)
-      iex> {:ok, robot} = Rendezvous.join("127.0.0.1", port: port, name: "robot", endpoints: offers)
-      iex> {:ok, desk} = Rendezvous.join("127.0.0.1", port: port, name: "desk", listener: self())
-      iex> receive do {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: endpoints}}} -> endpoints end
-      [{:address, "situ://10.0.0.7/robot", [{"imu", ":float"}]}]
-      iex> GenServer.stop(robot)
-      iex> receive do {:situ_rendezvous, ^desk, event} -> event end
-      {:removed, "robot"}
-
-  The protocol is \\psi's, version 2 (`Situ.Link.Rendezvous.Protocol`), so \\psi's processes can take part. When a
-  client dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not
-  delay the others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same
-  name, the others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when
-  that one leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback
-  address or a separate network. The server disconnects a client that does not send a greeting, or does not complete a
-  message, within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced
-  nothing.
-
-  If the log already uses a NATS server, no other server is needed.
-  `join("nats://lab1:4222,lab2:4222", name: "robot", ...)` does the same over NATS, including its clusters, leaf links,
-  accounts and TLS (JetStream is not needed). With `config :situ_link, nats: "nats://lab1:4222"` the names of such
-  processes can be used in addresses: `situ://robot` resolves to the first link that the process `robot` offers.
-  """
   alias Situ.{Error, Options}
   alias Situ.Link.Rendezvous.{Member, NatsMember, Server, Protocol}
 

@@ -6,7 +6,8 @@ defmodule Situ.Link.ServerConfig do
   alias Situ.Link.Certificate
   alias Situ.Link.{Address, Server}
   alias Situ.Link.Wire.{Handshake, Quota}
-  alias Situ.Store.{Exporter, Folder, Formats, Handle, Query}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Exporter, Folder, Query}
 
   @limit {:tuple, [{:in, [:bytes_per_second, :messages_per_second]}, :pos_integer]}
 
@@ -73,7 +74,11 @@ defmodule Situ.Link.ServerConfig do
   ]
 
   @type served ::
-          Path.t() | Handle.t() | Exporter.t() | Situ.Stream.t() | [{String.t(), Situ.Stream.t()}]
+          Path.t()
+          | Situ.Recording.t()
+          | Exporter.t()
+          | Situ.Stream.t()
+          | [{String.t(), Situ.Stream.t()}]
 
   @spec options() :: Options.schema()
   def options, do: @options
@@ -196,7 +201,7 @@ defmodule Situ.Link.ServerConfig do
     with {:ok, name, spec} <- build_spec(source, opts), do: {:ok, %{name => spec}}
   end
 
-  defp build_spec(%Handle{} = store, _opts),
+  defp build_spec(%Situ.Recording{} = store, _opts),
     do: {:ok, store.path |> Folder.store_name(), {:store, store}}
 
   defp build_spec(%Exporter{path: path}, _opts),

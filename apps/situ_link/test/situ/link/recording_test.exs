@@ -101,12 +101,12 @@ defmodule Situ.Link.RecordingTest do
     assert data == for(m <- Store.messages(here, "door"), do: m.data)
     whole = "situ://127.0.0.1:#{Server.port(server)}"
 
-    assert Enum.sort(Store.Formats.list_recordings(whole)) == [
+    assert Enum.sort(Situ.Recording.Formats.list_recordings(whole)) == [
              whole <> "/hall",
              whole <> "/lobby"
            ]
 
-    assert Store.Formats.list_recordings(whole <> "/lobby") == [whole <> "/lobby"]
+    assert Situ.Recording.Formats.list_recordings(whole <> "/lobby") == [whole <> "/lobby"]
   end
 
   test "a version remains as it was opened, and another has its own address", %{

@@ -1,15 +1,14 @@
 defmodule Situ.Live.Diff do
-  @moduledoc """
-  Computes the difference between the tree that a browser shows and a newly rendered one, as the message that the
-  LiveView client merges.
-
-  The module is pure: `diff_tree/2` takes the tree and the memory of the last one, and returns the message and the new
-  memory. Only values that differ are sent. List entries that moved are sent as moves, and the static strings of a
-  template are sent once.
-
-  The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint, %{key => {index,
-  values}}}`, `{:stream, fingerprint}`, `{:island, cid, memory}` or a string.
-  """
+  @moduledoc false
+  # Computes the difference between the tree that a browser shows and a newly rendered one, as the
+  # message that the LiveView client merges.
+  #
+  # The module is pure: `diff_tree/2` takes the tree and the memory of the last one, and returns
+  # the message and the new memory. Only values that differ are sent. List entries that moved are
+  # sent as moves, and the static strings of a template are sent once.
+  #
+  # The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint,
+  # %{key => {index, values}}}`, `{:stream, fingerprint}`, `{:island, cid, memory}` or a string.
   # See docs/adr/0071-templates-are-compiled-here-and-diffed-by-value.md.
   alias Situ.Live.{Comprehension, Island, Rendered}
 

@@ -1,12 +1,6 @@
 defmodule Situ.Live.Html do
-  @moduledoc """
-  Escapes values and converts rendered trees to HTML.
-
-      iex> Situ.Live.Html.escape("<script>")
-      "&lt;script&gt;"
-      iex> Situ.Live.Html.escape({:safe, "<b>"})
-      "<b>"
-  """
+  @moduledoc false
+  # Escapes values and converts rendered trees to HTML.
   alias Situ.Live.{Comprehension, Island, Rendered}
 
   @type safe :: {:safe, iodata()}
@@ -15,6 +9,11 @@ defmodule Situ.Live.Html do
   Converts a template value to a string that is safe in HTML; trees are returned unchanged. `{:safe, iodata}` is not
   escaped, so never wrap untrusted strings in it. Invalid UTF-8 is replaced by `\uFFFD`, because a browser would reject
   the whole message.
+
+      iex> Situ.Live.Html.escape("<script>")
+      "&lt;script&gt;"
+      iex> Situ.Live.Html.escape({:safe, "<b>"})
+      "<b>"
   """
   @spec escape(term()) :: Rendered.value()
   def escape(value) when is_binary(value), do: escape_text(value)

@@ -1,7 +1,6 @@
 defmodule Situ.Live.Island do
-  @moduledoc """
-  A part of a page that the browser patches separately: see `Situ.Live.Component.island/1`.
-  """
+  @moduledoc false
+  # A part of a page that the browser patches separately: see `Situ.Live.Component.island/1`.
   @enforce_keys [:rendered]
   defstruct [:rendered]
 

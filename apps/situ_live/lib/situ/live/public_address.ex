@@ -1,15 +1,7 @@
 defmodule Situ.Live.PublicAddress do
-  @moduledoc """
-  The address under which browsers reach a server through a proxy. The proxy terminates TLS and may add a path;
-  `public:` gives the server the resulting address.
-
-      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org:8443/studio/")
-      iex> {public.origin, public.base, public.segments}
-      {"https://lab.example.org:8443", "/studio", ["studio"]}
-      iex> {:error, error} = Situ.Live.PublicAddress.parse("lab.example.org")
-      iex> error.code
-      :bad_public
-  """
+  @moduledoc false
+  # The address under which browsers reach a server through a proxy. The proxy terminates TLS and
+  # may add a path; `public:` gives the server the resulting address.
   alias Situ.Error
 
   @enforce_keys [:url, :origin, :host, :base, :segments, :secure?]
@@ -25,7 +17,17 @@ defmodule Situ.Live.PublicAddress do
           secure?: boolean()
         }
 
-  @doc "Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it is invalid."
+  @doc """
+  Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it
+  is invalid.
+
+      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org:8443/studio/")
+      iex> {public.origin, public.base, public.segments}
+      {"https://lab.example.org:8443", "/studio", ["studio"]}
+      iex> {:error, error} = Situ.Live.PublicAddress.parse("lab.example.org")
+      iex> error.code
+      :bad_public
+  """
   @spec parse(term()) :: {:ok, t() | nil} | {:error, Error.t()}
   def parse(nil), do: {:ok, nil}
 

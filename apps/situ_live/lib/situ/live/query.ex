@@ -1,18 +1,21 @@
 defmodule Situ.Live.Query do
-  @moduledoc """
-  Decodes query strings and URL-encoded forms such as `a=1&b[c]=2&d[]=3` into nested maps and lists.
+  @moduledoc false
+  # Decodes query strings and URL-encoded forms such as `a=1&b[c]=2&d[]=3` into nested maps and
+  # lists.
+  #
+  # Input is untrusted: keys remain strings, at most 1,000 fields and 8 levels are accepted, and
+  # strings must be UTF-8.
+  @max_fields 1_000
+  @max_depth 8
 
-  Input is untrusted: keys remain strings, at most 1,000 fields and 8 levels are accepted, and strings must be UTF-8.
+  @doc """
+  Decodes a query string; later fields override earlier ones of the same name.
 
       iex> Situ.Live.Query.parse("a=1&b[c]=x+y&d[]=3&d[]=4")
       {:ok, %{"a" => "1", "b" => %{"c" => "x y"}, "d" => ["3", "4"]}}
       iex> Situ.Live.Query.parse("a=%ff")
       {:error, :bad_query}
   """
-  @max_fields 1_000
-  @max_depth 8
-
-  @doc "Decodes a query string; later fields override earlier ones of the same name."
   @spec parse(String.t()) :: {:ok, map()} | {:error, :bad_query}
   def parse(""), do: {:ok, %{}}
 

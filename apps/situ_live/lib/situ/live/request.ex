@@ -1,19 +1,14 @@
 defmodule Situ.Live.Request do
-  @moduledoc """
-  One HTTP request, as a route's handler receives it.
-
-    * `method` - `"GET"`, `"POST"` ...
-    * `path` - as sent; `segments` - the path split at `/` and percent-decoded
-    * `query` - the query decoded by `Situ.Live.Query`; `params` - values matched by the route's `:name` and `*rest`
-    * `headers` - a map with lower-case names
-    * `body` - the complete body; the server's `max_body` limits its size
-    * `peer` - `{address, port}` of the client
-    * `role` - `:viewer` if the client used the server's `viewer_token:`, else `:owner`
-
-      iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
-      iex> Situ.Live.Request.get_header(request, "Accept")
-      "text/html"
-  """
+  @moduledoc false
+  # One HTTP request, as a route's handler receives it.
+  #
+  #   * `method` - `"GET"`, `"POST"` ...
+  #   * `path` - as sent; `segments` - the path split at `/` and percent-decoded
+  #   * `query` - the query decoded by `Situ.Live.Query`; `params` - values matched by the route's `:name` and `*rest`
+  #   * `headers` - a map with lower-case names
+  #   * `body` - the complete body; the server's `max_body` limits its size
+  #   * `peer` - `{address, port}` of the client
+  #   * `role` - `:viewer` if the client used the server's `viewer_token:`, else `:owner`
   alias Situ.Live.Query
 
   defstruct method: "GET",
@@ -90,7 +85,13 @@ defmodule Situ.Live.Request do
       :binary.match(segment, ["/", "\\", <<0>>, "\n", "\r"]) == :nomatch
   end
 
-  @doc "Returns the value of a header, or `nil`."
+  @doc """
+  Returns the value of a header, or `nil`.
+
+      iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
+      iex> Situ.Live.Request.get_header(request, "Accept")
+      "text/html"
+  """
   @spec get_header(t(), String.t()) :: String.t() | nil
   def get_header(%__MODULE__{headers: headers}, name), do: headers[String.downcase(name)]
 

@@ -1,13 +1,10 @@
 defmodule Situ.Live.Response do
-  @moduledoc """
-  The response of a handler: status, headers, body.
-
-  A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`.
-  The server adds `content-length` or chunking, and the security headers.
-
-      iex> Situ.Live.Response.json(%{"ok" => true}).status
-      200
-  """
+  @moduledoc false
+  # The response of a handler: status, headers, body.
+  #
+  # A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or
+  # `{:chunks, enumerable}`. The server adds `content-length` or chunking, and the security
+  # headers.
   alias Situ.Live.{ContentType, Request}
 
   defstruct status: 200, headers: [], body: ""
@@ -26,7 +23,12 @@ defmodule Situ.Live.Response do
   @spec html(iodata(), 100..599) :: t()
   def html(html, status \\ 200), do: with_type(status, "text/html; charset=utf-8", html)
 
-  @doc "Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`."
+  @doc """
+  Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`.
+
+      iex> Situ.Live.Response.json(%{"ok" => true}).status
+      200
+  """
   @spec json(term(), 100..599) :: t()
   def json(value, status \\ 200),
     do: with_type(status, "application/json", Situ.JSON.encode(value))

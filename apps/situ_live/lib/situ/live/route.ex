@@ -1,29 +1,24 @@
 defmodule Situ.Live.Route do
-  @moduledoc """
-  The routes of a server, as plain data that is matched in order.
-
-  | route | serves |
-  |---|---|
-  | `{:live, path, View}`, `{:live, path, View, opts}` | a page: a view (`Situ.Live.View`) in the layout |
-  | `{:get, path, handler}` or `:post`, `:put`, `:patch`, `:delete`, `:any` (or with `opts`) | the handler's response |
-  | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files in `dir` (GET, HEAD) |
-  | `{:socket, path, Module, arg}`, `{:socket, path, Module, arg, opts}` | a WebSocket (`Situ.Live.SocketHandler`) |
-
-  A path is matched segment by segment: `:name` matches one segment, `*rest` all remaining ones. Both are in the
-  request's `params` (a view's `params`). A handler is a function of one argument (the `Situ.Live.Request`), or
-  `{Module, arg}`, for which the server calls `Module.call(request, arg)`. It returns a `Situ.Live.Response`.
-
-  Options of `:live`: `action:` (the socket's `live_action`), `session:` (a JSON-able map, or a function that computes
-  it from the request; signed into the page and passed to `mount/3`), `layout:` (replaces the server's layout).
-  Options of the handlers: `max_body:` (bytes). Options of `:static`: `cache:` (the `cache-control` header).
-  Options of `:socket`: `max_frame:` (bytes of an incoming message, default 65,536).
-
-      iex> routes = Situ.Live.Route.compile([{:get, "/rooms/:id/*rest", &Function.identity/1}])
-      iex> request = %Situ.Live.Request{segments: ["rooms", "7", "a", "b"]}
-      iex> {:ok, _route, params} = Situ.Live.Route.match_request(routes, request)
-      iex> params
-      %{"id" => "7", "rest" => ["a", "b"]}
-  """
+  @moduledoc false
+  # The routes of a server, as plain data that is matched in order.
+  #
+  # | route | serves |
+  # |---|---|
+  # | `{:live, path, View}`, `{:live, path, View, opts}` | a page: a view (`Situ.Live.View`) in the layout |
+  # | `{:get, path, handler}` or `:post`, `:put`, `:patch`, `:delete`, `:any` (or with `opts`) | the handler's response |
+  # | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files in `dir` (GET, HEAD) |
+  # | `{:socket, path, Module, arg}`, `{:socket, path, Module, arg, opts}` | a WebSocket (`Situ.Live.SocketHandler`) |
+  #
+  # A path is matched segment by segment: `:name` matches one segment, `*rest` all remaining ones.
+  # Both are in the request's `params` (a view's `params`). A handler is a function of one
+  # argument (the `Situ.Live.Request`), or `{Module, arg}`, for which the server calls
+  # `Module.call(request, arg)`. It returns a `Situ.Live.Response`.
+  #
+  # Options of `:live`: `action:` (the socket's `live_action`), `session:` (a JSON-able map, or a
+  # function that computes it from the request; signed into the page and passed to `mount/3`),
+  # `layout:` (replaces the server's layout). Options of the handlers: `max_body:` (bytes).
+  # Options of `:static`: `cache:` (the `cache-control` header). Options of `:socket`:
+  # `max_frame:` (bytes of an incoming message, default 65,536).
   alias Situ.Live.Request
 
   @methods [:get, :post, :put, :patch, :delete, :any]
@@ -40,7 +35,15 @@ defmodule Situ.Live.Route do
           opts: keyword()
         }
 
-  @doc "Validates and compiles routes; raises `ArgumentError` for an invalid route."
+  @doc """
+  Validates and compiles routes; raises `ArgumentError` for an invalid route.
+
+      iex> routes = Situ.Live.Route.compile([{:get, "/rooms/:id/*rest", &Function.identity/1}])
+      iex> request = %Situ.Live.Request{segments: ["rooms", "7", "a", "b"]}
+      iex> {:ok, _route, params} = Situ.Live.Route.match_request(routes, request)
+      iex> params
+      %{"id" => "7", "rest" => ["a", "b"]}
+  """
   @spec compile([tuple()]) :: [t()]
   def compile(routes), do: Enum.map(routes, &compile_route/1)
 

@@ -1,15 +1,15 @@
 defmodule Situ.Live.Stream do
-  @moduledoc """
-  A list that only the browser keeps: the server sends inserts and deletes and then discards them.
-
-      # mount:   stream(socket, :lines, lines)
-      # event:   stream_insert(socket, :lines, line, at: 0, limit: 200)
-      <ul id="lines" phx-update="stream">
-        <li :for={{id, line} <- @streams.lines} id={id}>{line.text}</li>
-      </ul>
-
-  Each item needs an `:id`, or the option `dom_id:` with a function that returns the row's id.
-  """
+  @moduledoc false
+  # A list that only the browser keeps: the server sends inserts and deletes and then discards
+  # them.
+  #
+  #     # mount:   stream(socket, :lines, lines)
+  #     # event:   stream_insert(socket, :lines, line, at: 0, limit: 200)
+  #     <ul id="lines" phx-update="stream">
+  #       <li :for={{id, line} <- @streams.lines} id={id}>{line.text}</li>
+  #     </ul>
+  #
+  # Each item needs an `:id`, or the option `dom_id:` with a function that returns the row's id.
   alias __MODULE__, as: S
 
   @enforce_keys [:name, :ref, :dom_id]

@@ -1,17 +1,18 @@
 defmodule Situ.Live.Template do
-  @moduledoc """
-  `~H` compiles HTML with embedded Elixir; it supports the part of Phoenix's HEEx that views need.
-
-    * `{expression}` in text and `name={expression}` in tags are always escaped
-    * `class={["a", @on && "b"]}`; `nil` and `false` omit an attribute, `true` writes only its name; `{map}` spreads
-    * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` work on any tag, component or slot
-    * `<.card title="x">`, `<Other.card>` call function components; `<:name :let={x}>` are their slots
-    * `phx-no-curly-interpolation` on a tag makes braces inside it plain text, as they are in `<script>` and `<style>`
-    * `<%= expression %>` equals `{expression}`; `<%!-- --%>` is omitted; blocks (`<% if ... do %>`) are rejected
-
-  A tag that is not closed, or is closed by another name, is a compile error with file, line and column. Only
-  expressions whose assigns changed are evaluated again, so read assigns as `@name`.
-  """
+  @moduledoc false
+  # `~H` compiles HTML with embedded Elixir; it supports the part of Phoenix's HEEx that views
+  # need.
+  #
+  #   * `{expression}` in text and `name={expression}` in tags are always escaped
+  #   * `class={["a", @on && "b"]}`; `nil` and `false` omit an attribute, `true` writes only its name; `{map}` spreads
+  #   * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` work on any tag, component or slot
+  #   * `<.card title="x">`, `<Other.card>` call function components; `<:name :let={x}>` are their slots
+  #   * `phx-no-curly-interpolation` on a tag makes braces inside it plain text, as they are in `<script>` and `<style>`
+  #   * `<%= expression %>` equals `{expression}`; `<%!-- --%>` is omitted; blocks (`<% if ... do %>`) are rejected
+  #
+  # A tag that is not closed, or is closed by another name, is a compile error with file, line and
+  # column. Only expressions whose assigns changed are evaluated again, so read assigns as
+  # `@name`.
   # See docs/adr/0071-templates-are-compiled-here-and-diffed-by-value.md.
   alias Situ.Live.Template.{Compiler, Parser}
 

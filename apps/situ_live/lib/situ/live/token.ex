@@ -1,9 +1,13 @@
 defmodule Situ.Live.Token do
-  @moduledoc """
-  Signs values that a browser stores for the server, so that the browser cannot change them.
+  @moduledoc false
+  # Signs values that a browser stores for the server, so that the browser cannot change them.
+  #
+  # A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its
+  # HMAC-SHA256. It is not encrypted.
+  alias Situ.JSON
 
-  A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its HMAC-SHA256. It is not
-  encrypted.
+  @doc """
+  Signs a JSON-able value for one purpose (`salt`).
 
       iex> token = Situ.Live.Token.sign("a secret of 32 bytes or more ....", "session", %{"id" => 1})
       iex> Situ.Live.Token.verify("a secret of 32 bytes or more ....", "session", token, 60)
@@ -11,9 +15,6 @@ defmodule Situ.Live.Token do
       iex> Situ.Live.Token.verify("another secret", "session", token, 60)
       {:error, :bad_token}
   """
-  alias Situ.JSON
-
-  @doc "Signs a JSON-able value for one purpose (`salt`)."
   @spec sign(binary(), String.t(), term(), integer()) :: String.t()
   def sign(secret, salt, value, now_s \\ System.system_time(:second)) do
     body = Base.url_encode64(JSON.encode([salt, now_s, value]), padding: false)

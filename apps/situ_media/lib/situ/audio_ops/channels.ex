@@ -1,23 +1,12 @@
 defmodule Situ.AudioOps.Channels do
-  @moduledoc """
-  Converts channels, gain and sample types of a buffer. Call these functions through `Situ.AudioOps`.
-
-  All operations use one kernel: every output channel is a weighted sum of input channels, rounded to the nearest value
-  and clipped.
-  """
+  @moduledoc false
+  # Converts channels, gain and sample types of a buffer. `Situ.AudioOps` documents the functions.
+  #
+  # All operations use one kernel: every output channel is a weighted sum of input channels,
+  # rounded to the nearest value and clipped.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.NativeKernel
 
-  @doc """
-  Converts a buffer to another sample type and number of channels at the same rate. One channel is copied to several,
-  and several channels are averaged to one. All other changes need `remix/3`.
-
-      iex> stereo = Situ.AudioBuffer.from_samples([100, 300], Situ.AudioFormat.pcm(16_000, 2))
-      iex> {:ok, mono} = Situ.AudioOps.reformat(stereo, channels: 1, sample: :s32)
-      iex> Situ.AudioBuffer.to_samples(mono)
-      [200 * 65_536]
-  """
-  @spec reformat(AudioBuffer.t(), keyword()) :: AudioBuffer.result()
   def reformat(%AudioBuffer{format: format} = buffer, opts) do
     opts = Keyword.validate!(opts, channels: format.channels, sample: format.sample)
 
@@ -36,15 +25,6 @@ defmodule Situ.AudioOps.Channels do
      )}
   end
 
-  @doc """
-  Mixes channels by a matrix with one list of input gains for each output channel. For `sample:`, see `reformat/2`.
-
-      iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
-      iex> {:ok, swapped} = Situ.AudioOps.remix(stereo, [[0, 1], [1, 0]])
-      iex> Situ.AudioBuffer.to_samples(swapped)
-      [2, 1, 4, 3]
-  """
-  @spec remix(AudioBuffer.t(), [[number()]], keyword()) :: AudioBuffer.result()
   def remix(%AudioBuffer{} = buffer, matrix, opts \\ []) when is_list(matrix) do
     sample = Keyword.get(opts, :sample) || buffer.format.sample
 
@@ -73,14 +53,6 @@ defmodule Situ.AudioOps.Channels do
     end
   end
 
-  @doc """
-  Selects the channels with these numbers (0 is the first), in this order.
-
-      iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
-      iex> Situ.AudioOps.select_channels!(stereo, [1]) |> Situ.AudioBuffer.to_samples()
-      [2, 4]
-  """
-  @spec select_channels(AudioBuffer.t(), [non_neg_integer()]) :: AudioBuffer.result()
   def select_channels(%AudioBuffer{format: format} = buffer, channels) do
     case Enum.find(channels, &(&1 not in 0..(format.channels - 1))) do
       nil ->
@@ -93,14 +65,6 @@ defmodule Situ.AudioOps.Channels do
     end
   end
 
-  @doc """
-  Changes the volume. `gain` is a factor, or `{:db, n}` in decibels.
-
-      iex> buffer = Situ.AudioBuffer.from_samples([100, 30_000], Situ.AudioFormat.pcm())
-      iex> Situ.AudioOps.gain!(buffer, 2) |> Situ.AudioBuffer.to_samples()
-      [200, 32_767]
-  """
-  @spec gain(AudioBuffer.t(), number() | {:db, number()}) :: AudioBuffer.result()
   def gain(buffer, {:db, db}), do: gain(buffer, :math.pow(10, db / 20))
 
   def gain(%AudioBuffer{format: format} = buffer, factor) when is_number(factor) do
@@ -111,16 +75,6 @@ defmodule Situ.AudioOps.Channels do
     remix(buffer, matrix)
   end
 
-  @doc """
-  Adds two buffers of the same format, the second multiplied by `gain:` (default 1.0). The tail of the longer one is
-  kept.
-
-      iex> format = Situ.AudioFormat.pcm()
-      iex> {a, b} = {Situ.AudioBuffer.from_samples([1, 2], format), Situ.AudioBuffer.from_samples([10], format)}
-      iex> Situ.AudioOps.mix!(a, b) |> Situ.AudioBuffer.to_samples()
-      [11, 2]
-  """
-  @spec mix(AudioBuffer.t(), AudioBuffer.t(), keyword()) :: AudioBuffer.result()
   def mix(a, b, opts \\ [])
 
   def mix(%AudioBuffer{format: format} = a, %AudioBuffer{format: format} = b, opts) do
@@ -137,15 +91,6 @@ defmodule Situ.AudioOps.Channels do
     {:error, Error.new(:bad_audio, what, fix: "reformat or resample one buffer first")}
   end
 
-  @doc """
-  Measures the level as peak and root mean square, where 1.0 is full scale.
-
-      iex> buffer = Situ.AudioBuffer.from_samples([16_384, -16_384], Situ.AudioFormat.pcm())
-      iex> {:ok, level} = Situ.AudioOps.level(buffer)
-      iex> {level.peak, level.rms, Float.round(level.rms_db, 2)}
-      {0.5, 0.5, -6.02}
-  """
-  @spec level(AudioBuffer.t()) :: {:ok, Situ.AudioStream.Level.t()} | {:error, Error.t()}
   def level(%AudioBuffer{} = buffer) do
     with {:ok, buffer} <- AudioBuffer.validate(buffer),
          {:ok, channels} <-
@@ -187,15 +132,6 @@ defmodule Situ.AudioOps.Channels do
   defp not_a_number(<<_, _::binary>>, sample, n) when sample in [:f32, :f64], do: n
   defp not_a_number(_data, _sample, _n), do: nil
 
-  @doc """
-  Computes the waveform like `Situ.AudioBuffer.points/2`, but in a native kernel that is fast enough for complete files.
-
-      iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
-      iex> Situ.AudioOps.points(buffer, 1_500_000)
-      {:ok, [{0, 0.0, 0.5, 0.5, 2}, {1_000_000, -0.5, -0.5, -0.5, 1}]}
-  """
-  @spec points(AudioBuffer.t(), Situ.Time.t()) ::
-          {:ok, [Situ.Codec.point()]} | {:error, Error.t()}
   def points(%AudioBuffer{format: format} = buffer, originating_time) do
     span = max(div(format.rate, 1000), 1)
     start = AudioBuffer.start_time(buffer, originating_time)

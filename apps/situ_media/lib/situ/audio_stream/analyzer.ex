@@ -1,4 +1,11 @@
 defmodule Situ.AudioStream.Analyzer do
+  @moduledoc false
+  # Extracts acoustic features. It is the component of `Situ.AudioStream.features/2`, which documents them.
+  #
+  # The definitions follow \psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
+  # (silence has entropy 0). The dither is seeded by the frame number, so results do not depend on how the audio was
+  # divided into buffers. The spectrum is the textbook transform (\psi's is its conjugate, packed in fours).
+
   @hz {:range, 0, 8_000_000}
   @schema [
     frame: [type: {:range, 0.0001, 10}, default: 0.025, doc: "Length of a frame, seconds."],
@@ -25,35 +32,6 @@ defmodule Situ.AudioStream.Analyzer do
     mel_high_hz: [type: {:optional, @hz}, default: nil, doc: "Upper limit; `nil`: half the rate."]
   ]
 
-  @moduledoc """
-  Extracts acoustic features from overlapping frames (`Situ.AudioStream.features/2`), with one output stream for each
-  feature.
-
-  | output | of each frame |
-  |---|---|
-  | `:log_energy` | natural logarithm of the mean square after the window; silence: -92.1 |
-  | `:zero_crossing_rate` | sign changes per sample; an exact 0 breaks a crossing |
-  | `:energy` | sum of power over `start_hz..end_hz` |
-  | `:low_energy`, `:high_energy` | the same up to `low_end_hz`, from `high_start_hz` |
-  | `:entropy` | spectral entropy of `entropy_hz` from `start_hz` on, 0..1 |
-  | `:spectrum` | list of `{re, im}`, bins below half the FFT size, not scaled (with `spectrum: true`) |
-  | `:power` | their squared magnitudes (with `power: true`) |
-  | `:log_mel` | logarithms of the power of `mel_bands` bands, samples scaled to -1..1 |
-  | `:mfcc` | the first `mfcc` cepstral coefficients (orthonormal DCT-II of `:log_mel`) |
-
-  Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the next power of two for
-  the Fourier transform. The time of a frame is the end of its last sample, exact to the sample. If there are several
-  channels, only the first one is used. Integer samples are used unscaled (8 bit: 0..255), and floats are scaled to the
-  16-bit range.
-
-  The definitions follow \\\\psi, with its errors fixed. Silence and bins without power do not make the entropy NaN
-  (silence has entropy 0). The dither is seeded by the frame number, so results do not depend on how the audio was
-  divided into buffers. The spectrum is the textbook transform (\\\\psi's is its conjugate, packed in fours).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [
@@ -74,14 +52,14 @@ defmodule Situ.AudioStream.Analyzer do
   alias Situ.Media.NativeKernel
   alias Situ.AudioOps.Channels
 
-  @enforce_keys [:native, :format, :config, :wanted]
-  defstruct [:native, :format, :config, :wanted]
+  @enforce_keys [:native, :format, :config, :outputs]
+  defstruct [:native, :format, :config, :outputs]
 
   @type t :: %__MODULE__{
           native: reference(),
           format: AudioFormat.t(),
           config: map(),
-          wanted: [atom()]
+          outputs: [atom()]
         }
 
   @outputs [:log_energy, :zero_crossing_rate, :energy, :low_energy, :high_energy, :entropy] ++
@@ -99,7 +77,7 @@ defmodule Situ.AudioStream.Analyzer do
          native: native,
          format: format,
          config: config,
-         wanted: requested_outputs(opts)
+         outputs: requested_outputs(opts)
        }}
     end
   end
@@ -158,7 +136,7 @@ defmodule Situ.AudioStream.Analyzer do
     # The estimate is 10 us per frame.
     frames = div(AudioBuffer.frame_count(buffer), a.config.shift)
 
-    {:analyze, a.native, buffer.data, first, a.wanted}
+    {:analyze, a.native, buffer.data, first, a.outputs}
     |> NativeKernel.run_audio(frames * 10)
     |> Channels.name_bad_samples(buffer, "analyze")
   end
@@ -172,11 +150,14 @@ defmodule Situ.AudioStream.Analyzer do
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
     state = ensure_analyzer(state, buffer.format)
     %{analyzer: analyzer, rest: rest, index: index} = state
-    whole = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
-    frames = Situ.Error.unwrap!(extract_features(analyzer, whole, index))
-    {actions, last} = emit_features(frames, whole, time, state)
+    joined_buffer = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
+    frames = Situ.Error.unwrap!(extract_features(analyzer, joined_buffer, index))
+    {actions, last} = emit_features(frames, joined_buffer, time, state)
     used = length(frames) * analyzer.config.shift
-    left = AudioBuffer.slice_frames(whole, used, AudioBuffer.frame_count(whole)).data
+
+    left =
+      AudioBuffer.slice_frames(joined_buffer, used, AudioBuffer.frame_count(joined_buffer)).data
+
     {actions, %{state | rest: :binary.copy(left), index: index + length(frames), last: last}}
   end
 
@@ -187,12 +168,12 @@ defmodule Situ.AudioStream.Analyzer do
     %{state | analyzer: analyzer, rest: "", index: 0}
   end
 
-  defp emit_features(frames, whole, time, %{analyzer: %{config: config}} = state) do
-    total = AudioBuffer.frame_count(whole)
+  defp emit_features(frames, joined_buffer, time, %{analyzer: %{config: config}} = state) do
+    total = AudioBuffer.frame_count(joined_buffer)
 
     {actions, {_end, last}} =
       Enum.flat_map_reduce(frames, {config.frame, state.last}, fn frame, {stop, last} ->
-        at = time - AudioFormat.frames_to_ns(whole.format, total - stop)
+        at = time - AudioFormat.frames_to_ns(joined_buffer.format, total - stop)
         at = if last, do: max(at, last + 1), else: at
         {output_actions(frame, at), {stop + config.shift, at}}
       end)

@@ -1,4 +1,8 @@
 defmodule Situ.AudioStream.Ducker do
+  @moduledoc false
+  # The component of `Situ.AudioStream.duck/3`, which documents it. Input `:in` is the audio, and `:while` carries the
+  # booleans.
+
   @schema [
     by: [type: {:range, 0, 120}, default: 18.0, doc: "Attenuation, dB; 120: silent."],
     fall: [type: :time_ns, default: 20_000_000, doc: "Time to lower the volume, ns."],
@@ -10,19 +14,6 @@ defmodule Situ.AudioStream.Ducker do
     ]
   ]
 
-  @moduledoc """
-  Lowers the volume of audio while a condition holds (`Situ.AudioStream.duck/3`), for example of a microphone while the
-  loudspeaker is speaking, or of music while somebody is talking.
-
-  Input `:in` is the audio, and `:while` carries booleans, at least one for each change. Each buffer uses the last
-  boolean that has arrived at or before the end of the buffer. In live pipelines a late boolean takes effect when it
-  arrives; in recordings all of them arrive in time. The component delays nothing, and times and lengths do not change.
-  The factor changes linearly to avoid clicks.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer, while: :boolean],
     outputs: [out: Situ.AudioBuffer],

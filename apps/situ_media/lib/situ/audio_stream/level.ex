@@ -1,12 +1,6 @@
 defmodule Situ.AudioStream.Level do
-  @moduledoc """
-  The level of a buffer of audio. `peak` and `rms` are fractions of full scale (the peak of the loudest channel, and the
-  mean power of all channels). `peak_db` and `rms_db` are the same in decibels below full scale, at least -120.0.
-  `channels` has `{peak, rms}` for each channel.
-
-      iex> Situ.AudioStream.Level.new([{1.0, 0.5}]).peak_db
-      0.0
-  """
+  @moduledoc false
+  # The level of a buffer of audio. `Situ.AudioOps.level/1` documents the fields.
   @enforce_keys [:peak, :rms, :peak_db, :rms_db, :channels]
   defstruct [:peak, :rms, :peak_db, :rms_db, :channels]
 
@@ -20,7 +14,12 @@ defmodule Situ.AudioStream.Level do
 
   @floor_db -120.0
 
-  @doc "Builds a level from the peak and root mean square of each channel."
+  @doc """
+  Builds a level from the peak and root mean square of each channel.
+
+      iex> Situ.AudioStream.Level.new([{1.0, 0.5}]).peak_db
+      0.0
+  """
   @spec new([{float(), float()}, ...]) :: t()
   def new(channels) do
     peak = channels |> Enum.map(&elem(&1, 0)) |> Enum.max()

@@ -1,21 +1,12 @@
 defmodule Situ.AudioStream.Mixer do
+  @moduledoc false
+  # The component of `Situ.AudioStream.mix/3`, which documents it.
+
   @schema [
     gain: [type: :number, default: 1.0, doc: "Factor of the first input."],
     other_gain: [type: :number, default: 1.0, doc: "Factor of the second input."]
   ]
 
-  @moduledoc """
-  Mixes two audio streams sample by sample, aligned by their times (`Situ.AudioStream.mix/3`).
-
-  Both inputs need the same format. A gap in an input is silent in the mix, and after an input has closed, the other
-  continues alone. Where an input overlaps itself (its times go back), the audio that arrived first is kept. Buffers are
-  emitted up to the time that both inputs have reached. A gap in both inputs whose silence would take more than 256 MiB
-  (hours of speech) is the error `:gap_too_long`, because it means that a clock was set.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer, other: Situ.AudioBuffer],
     outputs: [out: Situ.AudioBuffer],

@@ -1,16 +1,15 @@
 defmodule Situ.AudioStream.Ramp do
-  @moduledoc """
-  Changes a gain linearly from one value to another over the frames of a buffer, so that operators can change the volume
-  without clicks. Pure.
-
-      iex> buffer = Situ.AudioBuffer.from_samples([100, 100, 100, 100], Situ.AudioFormat.pcm())
-      iex> Situ.AudioStream.Ramp.scale_buffer(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
-      [25, 50, 75, 100]
-  """
+  @moduledoc false
+  # Changes a gain linearly from one value to another over the frames of a buffer, so that
+  # operators can change the volume without clicks. Pure.
   alias Situ.{AudioBuffer, AudioOps}
 
   @doc """
   Multiplies the buffer by a factor that reaches `to` at its last frame and was `from` one frame before its first.
+
+      iex> buffer = Situ.AudioBuffer.from_samples([100, 100, 100, 100], Situ.AudioFormat.pcm())
+      iex> Situ.AudioStream.Ramp.scale_buffer(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
+      [25, 50, 75, 100]
   """
   @spec scale_buffer(AudioBuffer.t(), float(), float()) :: AudioBuffer.t()
   def scale_buffer(buffer, from, to) when from == 1.0 and to == 1.0, do: buffer

@@ -1,4 +1,7 @@
 defmodule Situ.AudioStream.Reframer do
+  @moduledoc false
+  # The component of `Situ.AudioStream.reframe/2`, which documents it.
+
   @schema [
     frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames in each buffer."],
     duration: [
@@ -21,19 +24,6 @@ defmodule Situ.AudioStream.Reframer do
     ]
   ]
 
-  @moduledoc """
-  Cuts audio into buffers of an exact size, whatever the size of the input buffers (`Situ.AudioStream.reframe/2`).
-
-  The time of an output buffer is the time of the input buffer minus the duration of the audio that remains after the
-  cut, so it is exact to the sample. If this time would not be later than the previous buffer (because input times do
-  not agree with input lengths), the buffer is stamped 1 ns after the previous one. When the format changes, the rest of
-  the old format is handled as `tail:` says. The time of that last buffer is the end of its audio, without the silence
-  that pads it.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [out: Situ.AudioBuffer],

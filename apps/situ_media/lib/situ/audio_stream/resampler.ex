@@ -1,4 +1,9 @@
 defmodule Situ.AudioStream.Resampler do
+  @moduledoc false
+  # Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample. It is the component of
+  # `Situ.AudioStream.resample/3`, which documents it. Outside a pipeline, call its functions; the filter is mutable
+  # native memory, so feed each filter value only once.
+
   @schema [
     rate: [
       type: {:integer, 1, 16_000_000},
@@ -12,27 +17,6 @@ defmodule Situ.AudioStream.Resampler do
     ]
   ]
 
-  @moduledoc """
-  Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample.
-
-  As a component (`Situ.AudioStream.resample/3`), it takes and emits audio. The filter has linear phase, and its delay
-  is compensated: frame `k` of the result is `k / rate` after the first input frame. The time of an output buffer is
-  the input time minus the duration that is still inside the filter. The rest is emitted when the input closes. The
-  sample type and channels do not change. When the input format changes, the filter is flushed and restarted.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  Outside a pipeline, call its functions. The filter is mutable native memory, so feed each filter value only once:
-
-      iex> format = Situ.AudioFormat.pcm(48_000)
-      iex> {:ok, filter} = Situ.AudioStream.Resampler.new(format, rate: 16_000)
-      iex> {:ok, first} = Situ.AudioStream.Resampler.feed_buffer(filter, Situ.AudioBuffer.build_silence(format, 4800))
-      iex> {:ok, rest} = Situ.AudioStream.Resampler.flush_filter(filter)
-      iex> Situ.AudioBuffer.frame_count(first) + Situ.AudioBuffer.frame_count(rest)
-      1600
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [out: Situ.AudioBuffer],
@@ -53,7 +37,16 @@ defmodule Situ.AudioStream.Resampler do
           to: AudioFormat.t()
         }
 
-  @doc "Builds a filter that converts `format` to another rate."
+  @doc """
+  Builds a filter that converts `format` to another rate.
+
+      iex> format = Situ.AudioFormat.pcm(48_000)
+      iex> {:ok, filter} = Situ.AudioStream.Resampler.new(format, rate: 16_000)
+      iex> {:ok, first} = Situ.AudioStream.Resampler.feed_buffer(filter, Situ.AudioBuffer.build_silence(format, 4800))
+      iex> {:ok, rest} = Situ.AudioStream.Resampler.flush_filter(filter)
+      iex> Situ.AudioBuffer.frame_count(first) + Situ.AudioBuffer.frame_count(rest)
+      1600
+  """
   @spec new(AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%AudioFormat{} = format, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),

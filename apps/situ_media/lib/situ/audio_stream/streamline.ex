@@ -1,4 +1,7 @@
 defmodule Situ.AudioStream.Streamline do
+  @moduledoc false
+  # The component of `Situ.AudioStream.streamline/2`, which documents its methods.
+
   @schema [
     method: [
       type: {:in, [:concatenate, :pleat, :unpleat]},
@@ -13,22 +16,6 @@ defmodule Situ.AudioStream.Streamline do
     ]
   ]
 
-  @moduledoc """
-  Makes audio with gaps, overlaps or timing jitter contiguous (`Situ.AudioStream.streamline/2`).
-
-    * `:concatenate`: only the times change; they continue from the first buffer, ignoring gaps.
-    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the previous one,
-      and times do not change.
-    * `:unpleat`: times are continuous. When they have drifted from the input times by more than `max_offset`, silence
-      is inserted before a late buffer, or the beginning of an early buffer is cut off.
-
-  A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that
-  a clock was set. A change of format is an error, too.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     inputs: [in: Situ.AudioBuffer],
     outputs: [out: Situ.AudioBuffer],

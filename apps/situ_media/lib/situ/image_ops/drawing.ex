@@ -1,50 +1,12 @@
 defmodule Situ.ImageOps.Drawing do
-  @moduledoc """
-  Draws lines, rectangles, circles and text on a copy of an image. Call these functions through `Situ.ImageOps`.
-  `draw/2` draws several shapes and copies the image once.
-
-  | shape | drawn | options |
-  |---|---|---|
-  | `{:line, {x, y}, {x, y}, opts}` | a line, both ends included | `color:`, `width:` |
-  | `{:rectangle, rect, opts}` | `Situ.Rect` or `{x, y, width, height}`; the outline on its outermost pixels | `color:`, `width:` |
-  | `{:fill_rectangle, rect, opts}` | its inside | `color:` |
-  | `{:circle, {x, y}, radius, opts}` | outline centred on its edge | `color:`, `width:` |
-  | `{:fill_circle, {x, y}, radius, opts}` | a disc, as large as the outline of width 1 | `color:` |
-  | `{:text, {x, y}, string, opts}` | top left corner of the first line's capitals | `color:`, `size:`, `font:`, `background:` |
-
-  `{x, y}` is the center of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), and `width:` is the line width
-  in pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
-  edges, and lines of even width have half the color in their outer rows. Rectangles are aligned to complete pixels.
-  Positions may be outside the image by up to 1,000,000 pixels; parts outside the image are clipped.
-
-  Text may be any Unicode text (with marks, ligatures and right-to-left scripts), in lines separated by `\\n`:
-
-    * `size:` height of a capital letter in pixels, 1 to 2000 (default 16)
-    * `font:` the path of a TrueType or OpenType file, or a list of paths. Each character uses the first font that
-      covers it. DejaVu Sans, which is included in Situ and is the default, is the fallback; it covers Latin, Greek,
-      Cyrillic, Hebrew, Arabic and more, but not Chinese, Japanese or Korean. Characters that no font covers are drawn
-      as a box. A file that is not a font is the error `:bad_font`.
-    * `background:` color of a box under the text, 2 pixels larger on each side (default none)
-
-  Color fonts (emoji) have no outlines to draw, so only monochrome fonts work.
-  """
+  @moduledoc false
+  # Draws lines, rectangles, circles and text on a copy of an image. `Situ.ImageOps` documents the functions. All of
+  # them call `draw/2`, which copies the image once.
   alias Situ.{Image, Point2, Rect}
   alias Situ.Image.Color
   alias Situ.ImageOps.Text
   alias Situ.Media.NativeKernel
 
-  @type point :: {number(), number()} | Point2.t()
-  @type rect :: Rect.t() | {number(), number(), number(), number()}
-
-  @doc """
-  Draws several shapes in order.
-
-      iex> image = Situ.Image.new_filled(5, 5, :gray8)
-      iex> {:ok, drawn} = Situ.ImageOps.draw(image, [{:fill_rectangle, {1, 1, 3, 3}, color: 9}])
-      iex> for y <- 0..2, do: Situ.Image.fetch_pixel(drawn, 2, y)
-      [{:ok, [0]}, {:ok, [9]}, {:ok, [9]}]
-  """
-  @spec draw(Image.t(), [tuple()]) :: Image.result()
   def draw(%Image{} = image, shapes) when is_list(shapes) do
     with {:ok, image} <- Image.validate(image) do
       terms = Enum.map(shapes, &build_shape(&1, image.format))
@@ -60,89 +22,22 @@ defmodule Situ.ImageOps.Drawing do
     byte_size(image.data) / 8000 + 20 * length(terms) + Text.cost_us() * texts
   end
 
-  @doc """
-  Draws a line between two points.
-
-      iex> Situ.ImageOps.draw_line!(Situ.Image.new_filled(5, 3, :gray8), {1, 1}, {3, 1}, color: 9).data
-      <<0, 0, 0, 0, 0, 0, 9, 9, 9, 0, 0, 0, 0, 0, 0>>
-  """
-  @spec draw_line(Image.t(), point(), point(), keyword()) :: Image.result()
   def draw_line(image, from, to, opts \\ []), do: draw(image, [{:line, from, to, opts}])
 
-  @doc """
-  Draws the outline of a rectangle.
-
-      iex> Situ.ImageOps.draw_rectangle!(Situ.Image.new_filled(4, 3, :gray8), {0, 0, 3, 3}, color: 9).data
-      <<9, 9, 9, 0, 9, 0, 9, 0, 9, 9, 9, 0>>
-  """
-  @spec draw_rectangle(Image.t(), rect(), keyword()) :: Image.result()
   def draw_rectangle(image, rect, opts \\ []), do: draw(image, [{:rectangle, rect, opts}])
 
-  @doc """
-  Fills a rectangle.
-
-      iex> Situ.ImageOps.fill_rectangle!(Situ.Image.new_filled(4, 3, :gray8), {1, 1, 2, 2}, color: 9).data
-      <<0, 0, 0, 0, 0, 9, 9, 0, 0, 9, 9, 0>>
-  """
-  @spec fill_rectangle(Image.t(), rect(), keyword()) :: Image.result()
   def fill_rectangle(image, rect, opts \\ []), do: draw(image, [{:fill_rectangle, rect, opts}])
 
-  @doc """
-  Draws the outline of a circle.
-
-      iex> image = Situ.Image.new_filled(21, 21, :gray8)
-      iex> {:ok, image} = Situ.ImageOps.draw_circle(image, {10, 10}, 8, color: 200, width: 3)
-      iex> for x <- [10, 18], do: Situ.Image.fetch_pixel(image, x, 10)
-      [{:ok, [0]}, {:ok, [200]}]
-  """
-  @spec draw_circle(Image.t(), point(), number(), keyword()) :: Image.result()
   def draw_circle(image, center, radius, opts \\ []),
     do: draw(image, [{:circle, center, radius, opts}])
 
-  @doc """
-  Fills a circle.
-
-      iex> {:ok, image} = Situ.ImageOps.fill_circle(Situ.Image.new_filled(21, 21, :gray8), {10, 10}, 8, color: 200)
-      iex> for x <- [10, 20], do: Situ.Image.fetch_pixel(image, x, 10)
-      [{:ok, [200]}, {:ok, [0]}]
-  """
-  @spec fill_circle(Image.t(), point(), number(), keyword()) :: Image.result()
   def fill_circle(image, center, radius, opts \\ []),
     do: draw(image, [{:fill_circle, center, radius, opts}])
 
-  @doc """
-  Draws text with the top left corner of its capital letters at a point.
-
-      iex> paper = Situ.Image.new_filled(90, 30, :gray8)
-      iex> {:ok, image} = Situ.ImageOps.draw_text(paper, {4, 6}, "Ωmega, ça", size: 14, color: :white)
-      iex> {:ok, %{gray: ink}} = Situ.ImageOps.statistics(image)
-      iex> ink.max
-      254
-  """
-  @spec draw_text(Image.t(), point(), String.t(), keyword()) :: Image.result()
   def draw_text(image, at, text, opts \\ []), do: draw(image, [{:text, at, text, opts}])
 
-  @doc """
-  Returns the width and height of text in pixels: the width of the widest line, and the height from the top of the first
-  line's capital letters to the bottom of the last line. Takes the drawing options `size:` and `font:`.
-
-      iex> {:ok, {width, height}} = Situ.ImageOps.text_size("three\\nlines\\nof text", size: 20)
-      iex> {width > 60 and width < 110, height > 80 and height < 100}
-      {true, true}
-  """
-  @spec text_size(String.t(), keyword()) :: {:ok, {float(), float()}} | {:error, Situ.Error.t()}
   def text_size(text, opts \\ []), do: Text.measure_size(text, opts)
 
-  @doc """
-  Draws boxes for detections, with label and score above them and a separate color for each label. Options: `width:` of
-  the lines (2), and `size:` and `font:` of the labels (14, the default font).
-
-      iex> face = Situ.Rect.new!(x: 30, y: 30, width: 20, height: 20, label: "Zoë", score: 0.9)
-      iex> {:ok, image} = Situ.ImageOps.draw_detections(Situ.Image.new_filled(80, 60, :bgr24), [face])
-      iex> Situ.Image.fetch_pixel(image, 30, 40) == {:ok, [0, 0, 0]}
-      false
-  """
-  @spec draw_detections(Image.t(), [Rect.t()], keyword()) :: Image.result()
   def draw_detections(image, rects, opts \\ []) do
     opts = Keyword.validate!(opts, width: 2, size: 14, font: nil)
     draw(image, Enum.flat_map(rects, &detection_shapes(&1, opts)))
@@ -203,7 +98,7 @@ defmodule Situ.ImageOps.Drawing do
     do: Text.text_term(point_term(at), text, opts, format)
 
   defp build_shape(other, _format) do
-    raise ArgumentError, "unknown shape #{inspect(other)}; see Situ.ImageOps.Drawing"
+    raise ArgumentError, "unknown shape #{inspect(other)}; see Situ.ImageOps.draw/2"
   end
 
   defp shape_term(shape, opts, format),

@@ -1,4 +1,15 @@
 defmodule Situ.Media.Camera do
+  @moduledoc """
+  A camera as a source of images, stamped with the times at which they were taken.
+
+      camera = Situ.Media.Camera.open(p, device: "/dev/video0", size: {1280, 720}, rate: 30)
+      camera = Situ.Media.Camera.open(p, device: "simulated:talk1.mp4")
+
+  `Situ.Media.Device` lists the kinds of devices, and `situ devices` lists the available ones. A camera cannot wait:
+  images that the pipeline does not take in time are dropped, oldest first, and counted (`Situ.Pipeline.info/1` shows
+  the count). A camera that is missing when the pipeline starts is an error; a camera that is lost later is retried.
+  """
+
   alias Situ.Media.Device
 
   @schema [
@@ -53,20 +64,6 @@ defmodule Situ.Media.Camera do
     args: [type: {:list, :string}, default: [], doc: "Additional input options for `ffmpeg`."]
   ]
 
-  @moduledoc """
-  A camera as a source of images, stamped with the times at which they were taken.
-
-      camera = Situ.Media.Camera.open(p, device: "/dev/video0", size: {1280, 720}, rate: 30)
-      camera = Situ.Media.Camera.open(p, device: "simulated:talk1.mp4")
-
-  `Situ.Media.Device` lists the kinds of devices, and `situ devices` lists the available ones. A camera cannot wait:
-  images that the pipeline does not take in time are dropped, oldest first, and counted (`Situ.Pipeline.info/1` shows
-  the count). A camera that is missing when the pipeline starts is an error; a camera that is lost later is retried.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, outputs: [out: Situ.Image], options: @schema
   use Situ.Media.Capture
 

@@ -1,20 +1,15 @@
 defmodule Situ.Media.Capture do
-  @moduledoc """
-  The shared implementation of camera, microphone and network stream: a running capture with its clock and reconnects.
-  It is pure except that it starts and stops the reader.
-
-  A device cannot wait. Up to `:buffer` frames wait for the pipeline; beyond that the oldest is dropped and counted, so
-  memory stays bounded even if the pipeline is slow. A capture runs in its own process (`async: true`), so that a slow
-  operator does not keep it from dropping frames. When a device is lost (unplugged, or its stream ended), it is retried
-  every second if the options allow it.
-
-  When a sender's clock jumps (the sender was restarted, or switched to another file), it is synchronized with the
-  pipeline's clock again: the capture logs a warning and counts the jump, and later frames are stamped from the time of
-  arrival. Each stream of a sender has its own stall watch, which reports video that stops while audio keeps arriving.
-
-  `use Situ.Media.Capture`, after `use Situ.Component`, defines all callbacks except `init/1` for a component whose
-  state is a capture.
-  """
+  @moduledoc false
+  # The shared implementation of camera, microphone and network stream: a running capture with its
+  # clock and reconnects. It is pure except that it starts and stops the reader.
+  #
+  # A device cannot wait, so up to `:buffer` frames wait for the pipeline, and the oldest is dropped and counted beyond
+  # that. A capture runs in its own process (`async: true`), so that a slow operator does not keep it from dropping
+  # frames. When a sender's clock jumps (the sender was restarted, or switched to another file), it is synchronized with
+  # the pipeline's clock again. Each stream of a sender has its own stall watch.
+  #
+  # `use Situ.Media.Capture`, after `use Situ.Component`, defines all callbacks except `init/1`
+  # for a component whose state is a capture.
   alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Component.Context
   alias Situ.Media.Capture.{Arguments, Clock, StallWatch}

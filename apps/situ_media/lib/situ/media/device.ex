@@ -1,28 +1,43 @@
 defmodule Situ.Media.Device do
   @moduledoc """
-  A behaviour for devices: listing them, and starting capture or playback.
+  Devices: cameras, microphones, speakers and network streams by name, and the behaviour of their drivers.
+
+      for device <- Situ.Media.Device.list(), do: {device.kind, device.id, device.name}
+      Situ.Media.Camera.open(p, device: "/dev/video0")
+      Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
 
   A device is named by a driver and an address, `DRIVER:ADDRESS`:
 
-  | device | driver | kinds |
-  |---|---|---|
-  | `v4l2:/dev/video0`, `/dev/video0` | `Situ.Media.Device.V4L2` | camera |
-  | `pulse:default`, `pulse:virt.monitor` | `Situ.Media.Device.Pulse` | microphone, speaker |
-  | `alsa:default`, `alsa:hw:0,0` | `Situ.Media.Device.Alsa` | microphone, speaker |
-  | `simulated:talk1.mp4` | `Situ.Media.Device.Simulated` | camera, microphone |
-  | `rtsp://...`, `udp://...`, `http://...` | `Situ.Media.Device.Url` | camera, microphone |
-  | `lavfi:testsrc`, `x11grab::0` | `Situ.Media.Device.Input` | any input FFmpeg has |
+  | name | device |
+  |---|---|
+  | `v4l2:/dev/video0`, `/dev/video0` | a camera of the Linux kernel, which stamps each image with wall time |
+  | `pulse:default`, `pulse:virt.monitor` | a microphone or speaker of PulseAudio or PipeWire |
+  | `alsa:default`, `alsa:hw:0,0` | a microphone or speaker of the Linux kernel |
+  | `simulated:talk1.mp4` | a file as camera and microphone, repeated; with `?once` at the end, it is played once |
+  | `rtsp://...`, `udp://...`, `http://...` | a network stream; images and audio keep the sender's time steps |
+  | `lavfi:testsrc`, `x11grab::0` | a test image, the screen |
+  | `input:NAME` | any other input of FFmpeg, with `args: ["-f", FORMAT]` |
 
-      iex> Situ.Media.Device.parse_name("/dev/video2")
-      {:ok, {Situ.Media.Device.V4L2, "/dev/video2"}}
-      iex> Situ.Media.Device.parse_name("udp://127.0.0.1:5000")
-      {:ok, {Situ.Media.Device.Url, "udp://127.0.0.1:5000"}}
-      iex> {:error, error} = Situ.Media.Device.parse_name("puls:default")
-      iex> error.fix
-      "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
+  A simulated camera and a simulated microphone of the same file are synchronized: its media time 0 is the pipeline's
+  start. The first frame of a network stream and of FFmpeg's inputs is stamped with the pipeline's time when it arrives.
 
-  Drivers only describe devices. `Situ.Media.Capture` runs the capture in a separate operating system process. To add a
-  kind of device, implement this behaviour and pass `{MyDriver, address}` wherever a device name is accepted.
+  ## Your own driver
+
+  A driver only describes devices; Situ captures from them in a separate operating system process. Implement this
+  behaviour and pass `{MyDriver, address}` wherever a device name is accepted:
+
+      defmodule Screen do
+        @behaviour Situ.Media.Device
+
+        @impl true
+        def list, do: []
+
+        @impl true
+        def capture(display, :camera, _opts),
+          do: {:ok, %{args: ["-f", "x11grab", "-i", display], clock: :arrival}}
+      end
+
+      Situ.Media.Camera.open(p, device: {Screen, ":0"})
   """
   # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
@@ -82,7 +97,15 @@ defmodule Situ.Media.Device do
   # Inputs of ffmpeg that are named like drivers.
   @inputs ["lavfi", "x11grab", "input"]
 
-  @doc "Parses a device name into its driver and address."
+  @doc """
+  Parses a device name into its driver and address.
+
+      iex> {:ok, {_v4l2, "/dev/video2"}} = Situ.Media.Device.parse_name("/dev/video2")
+      iex> {:ok, {_url, "udp://127.0.0.1:5000"}} = Situ.Media.Device.parse_name("udp://127.0.0.1:5000")
+      iex> {:error, error} = Situ.Media.Device.parse_name("puls:default")
+      iex> error.fix
+      "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
+  """
   @spec parse_name(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
   def parse_name({driver, address}) when is_atom(driver) and is_binary(address),
     do: {:ok, {driver, address}}

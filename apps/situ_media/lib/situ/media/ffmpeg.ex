@@ -1,22 +1,21 @@
 defmodule Situ.Media.FFmpeg do
-  @moduledoc """
-  Finds and starts the programs `ffmpeg` and `ffprobe`.
-
-  Decoders process untrusted bytes, so each runs in a separate operating system process: a crash there is an error here
-  and never takes the VM down. The decoded data is returned over a local socket that is read on demand
-  (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and no data accumulates.
-
-      iex> {:ok, path} = Situ.Media.FFmpeg.fetch_executable("ffmpeg")
-      iex> Path.basename(path)
-      "ffmpeg"
-  """
+  @moduledoc false
+  # Finds and starts the programs `ffmpeg` and `ffprobe`. Decoders process untrusted bytes, so each runs in a separate
+  # operating system process, where a crash cannot take the VM down. `Situ.Media.FFmpeg.Reader` reads the decoded data
+  # from a local socket on demand, so a slow pipeline slows the decoder down and no data accumulates.
   # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
 
   # Limits each allocation inside ffmpeg, whatever a header claims.
   @max_alloc 1_073_741_824
 
-  @doc "Returns the full path of `program` (`\"ffmpeg\"` or `\"ffprobe\"`)."
+  @doc """
+  Returns the full path of `program` (`"ffmpeg"` or `"ffprobe"`).
+
+      iex> {:ok, path} = Situ.Media.FFmpeg.fetch_executable("ffmpeg")
+      iex> Path.basename(path)
+      "ffmpeg"
+  """
   @spec fetch_executable(String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def fetch_executable(program) when is_binary(program) do
     case System.find_executable(program) do

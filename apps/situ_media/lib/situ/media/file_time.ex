@@ -1,20 +1,7 @@
 defmodule Situ.Media.FileTime do
-  @moduledoc """
-  Converts media time (0 at the start of a file) to originating time.
-
-  Every source that reads a file takes `start_time:`
-
-    * `:file` (default): the file's own time. It is exact for recordings written by Situ; for other files it is their
-      creation time, or the epoch if the file does not state it. The same file gives the same times in every run, and
-      the pipeline's clock begins at the file's time.
-    * an integer: the originating time of media time 0, with the same effect on the pipeline's clock.
-    * `:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live.
-
-      iex> Situ.Media.FileTime.time_offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
-      97_000_000_000
-      iex> Situ.Media.FileTime.time_offset(:file, nil, 0, %{start_time: 5})
-      0
-  """
+  @moduledoc false
+  # Converts media time (0 at the start of a file) to originating time, by the option `start_time:` of every source that
+  # reads a file. The pipeline's clock begins at the file's time unless the option is `:pipeline`.
 
   @type start_time :: :file | :pipeline | Situ.Time.t()
 
@@ -25,11 +12,21 @@ defmodule Situ.Media.FileTime do
       type: {:or, [{:in, [:file, :pipeline]}, :integer]},
       default: :file,
       doc:
-        "Originating time of media time 0, ns; `:file` or `:pipeline`, see `Situ.Media.FileTime`."
+        "Originating time of the start of the file, ns. `:file`: the file's own time, which is exact for recordings " <>
+          "written by Situ, and for other files their creation time (or the epoch if the file does not state it). " <>
+          "`:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live."
     ]
   end
 
-  @doc "Returns the offset to add to media times, for a file recorded at `recorded_at` and read from `start`."
+  @doc """
+  Returns the offset to add to media times, for a file recorded at `recorded_at` and read from
+  `start`.
+
+      iex> Situ.Media.FileTime.time_offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
+      97_000_000_000
+      iex> Situ.Media.FileTime.time_offset(:file, nil, 0, %{start_time: 5})
+      0
+  """
   @spec time_offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
           :start_time => Situ.Time.t(),
           optional(atom()) => term()

@@ -1,4 +1,14 @@
 defmodule Situ.Media.ImageSequence do
+  @moduledoc """
+  A source of images from JPEG and PNG files.
+
+      p |> Situ.Media.ImageSequence.open("shots/", rate: 10) |> Situ.each(&IO.inspect/1)
+
+  Files of a folder or a pattern are sorted by the numbers in their names (`shot-2` before `shot-10`). A folder written
+  by `Situ.Media.ImageSequenceWriter` also contains the originating times, and they are used. All other images get steps
+  of `1 / rate` from `start_time:`.
+  """
+
   alias Situ.Graph.Placement
   alias Situ.{Error, Image, ImageOps}
   alias Situ.Media.FileTime
@@ -28,19 +38,6 @@ defmodule Situ.Media.ImageSequence do
     ]
   ]
 
-  @moduledoc """
-  A source of images from JPEG and PNG files.
-
-      p |> Situ.Media.ImageSequence.open("shots/", rate: 10) |> Situ.each(&IO.inspect/1)
-
-  Files of a folder or a pattern are sorted by the numbers in their names (`shot-2` before `shot-10`). A folder written
-  by `Situ.Media.ImageSequenceWriter` also contains the originating times, and they are used. All other images get steps
-  of `1 / rate` from `start_time:` (`Situ.Media.FileTime`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, outputs: [out: Image], options: @schema
 
   require Logger

@@ -1,4 +1,13 @@
 defmodule Situ.Media.ImageSequenceWriter do
+  @moduledoc """
+  A sink that writes each image to a separate file, and their times to the same folder (`times.csv`).
+  `Situ.Media.ImageSequence` reads them with the same originating times.
+
+      camera |> Situ.Media.ImageSequenceWriter.write("shots/", type: :png)
+
+  A folder that already contains such a recording is rejected, so nothing is overwritten.
+  """
+
   alias Situ.{EncodedImage, Error, Image, ImageOps}
   alias Situ.Media.ImageSequence.Index
 
@@ -21,18 +30,6 @@ defmodule Situ.Media.ImageSequenceWriter do
     ]
   ]
 
-  @moduledoc """
-  A sink that writes each image to a separate file, and their times to the same folder (`times.csv`).
-  `Situ.Media.ImageSequence` reads them with the same originating times.
-
-      camera |> Situ.Media.ImageSequenceWriter.write("shots/", type: :png)
-
-  A folder that already contains such a recording is rejected, so nothing is overwritten.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, inputs: [in: :any], options: @schema
 
   @doc "Connects the sink to `stream` and returns `stream`."

@@ -1,4 +1,15 @@
 defmodule Situ.Media.LiveStream do
+  @moduledoc """
+  A live source of images and audio: a network stream, or a simulated device with both.
+
+      live = Situ.Media.LiveStream.open(p, device: "rtsp://camera.local/stream")
+      live.video |> Situ.each(&IO.inspect/1)
+
+  Frames keep the sender's time steps; the first frame is stamped with the pipeline's time when it arrives. Images and
+  audio share one clock and stay synchronized. Like every device, the source cannot wait: data that the pipeline does
+  not take in time is dropped and counted.
+  """
+
   alias Situ.Graph.Placement
   alias Situ.AudioFormat
 
@@ -50,20 +61,6 @@ defmodule Situ.Media.LiveStream do
     args: [type: {:list, :string}, default: [], doc: "Additional input options for `ffmpeg`."]
   ]
 
-  @moduledoc """
-  A live source of images and audio: a network stream, or a simulated device with both.
-
-      live = Situ.Media.LiveStream.open(p, device: "rtsp://camera.local/stream")
-      live.video |> Situ.each(&IO.inspect/1)
-
-  Frames keep the sender's time steps; the first frame is stamped with the pipeline's time when it arrives. Images and
-  audio share one clock and stay synchronized. Like every device, the source cannot wait: data that the pipeline does
-  not take in time is dropped and counted.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, outputs: [video: Situ.Image, audio: Situ.AudioBuffer], options: @schema
   use Situ.Media.Capture
 

@@ -1,4 +1,15 @@
 defmodule Situ.Media.Microphone do
+  @moduledoc """
+  A microphone as a source of audio buffers, each stamped with the time of its end.
+
+      mic = Situ.Media.Microphone.open(p)
+      mic = Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
+
+  `Situ.Media.Device` lists the kinds of devices, and `situ devices` lists the available ones. Audio that a slow
+  pipeline does not take is kept for 10 s; older audio is dropped and counted. `gain:` changes the captured audio; to
+  change the level of the device itself, use the sound system (`pactl set-source-volume`, `alsamixer`).
+  """
+
   alias Situ.AudioFormat
   alias Situ.Media.Device
 
@@ -38,20 +49,6 @@ defmodule Situ.Media.Microphone do
     args: [type: {:list, :string}, default: [], doc: "Additional input options for `ffmpeg`."]
   ]
 
-  @moduledoc """
-  A microphone as a source of audio buffers, each stamped with the time of its end.
-
-      mic = Situ.Media.Microphone.open(p)
-      mic = Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
-
-  `Situ.Media.Device` lists the kinds of devices, and `situ devices` lists the available ones. Audio that a slow
-  pipeline does not take is kept for 10 s; older audio is dropped and counted. `gain:` changes the captured audio; to
-  change the level of the device itself, use the sound system (`pactl set-source-volume`, `alsamixer`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, outputs: [out: Situ.AudioBuffer], options: @schema
   use Situ.Media.Capture
 

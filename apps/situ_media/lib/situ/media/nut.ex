@@ -1,16 +1,8 @@
 defmodule Situ.Media.Nut do
-  @moduledoc """
-  The basic elements of NUT, FFmpeg's own container: variable-length numbers, start codes, checksums and time bases.
-
-  Decoded images and audio are passed between Situ and the `ffmpeg` program as a NUT stream over a local socket, because
-  NUT keeps the exact time base of every stream and can be written and read without seeking. `Situ.Media.Nut.Demuxer`
-  reads it, and `Situ.Media.Nut.Muxer` writes it. For the format, see <https://ffmpeg.org/~michael/nut.txt>.
-
-      iex> Situ.Media.Nut.encode_varint(300)
-      <<0x82, 0x2C>>
-      iex> Situ.Media.Nut.to_ns(1, {1, 25})
-      40_000_000
-  """
+  @moduledoc false
+  # The basic elements of NUT, FFmpeg's own container: variable-length numbers, start codes, checksums and time bases.
+  # Situ and `ffmpeg` exchange decoded images and audio as a NUT stream, because NUT keeps the exact time base of every
+  # stream and needs no seeking. For the format, see <https://ffmpeg.org/~michael/nut.txt>.
   import Bitwise
 
   @typedoc "Seconds per tick, as a fraction."
@@ -55,6 +47,11 @@ defmodule Situ.Media.Nut do
 
   @doc """
   Encodes an unsigned number in groups of 7 bits, most significant first. All bytes but the last have the top bit set.
+
+      iex> Situ.Media.Nut.encode_varint(300)
+      <<0x82, 0x2C>>
+      iex> Situ.Media.Nut.to_ns(1, {1, 25})
+      40_000_000
   """
   @spec encode_varint(non_neg_integer()) :: binary()
   def encode_varint(value) when is_integer(value) and value >= 0,

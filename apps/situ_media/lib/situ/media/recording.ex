@@ -1,29 +1,13 @@
 defmodule Situ.Media.Recording do
-  @moduledoc """
-  Opens media files as recordings. `Situ.Store.open("talk1.mp4")` returns a recording with the streams `Video` and
-  `Audio`. Every feature that opens stores supports such files: `bin/situ store info`, the studio, and replay in a
-  pipeline.
-
-      {:ok, store} = Situ.Store.open("talk1.mp4")
-      {:ok, message} = Situ.Store.latest_at(store, "Video", Situ.Time.ms(1_500))
-      %Situ.Image{width: 1024, height: 512} = message.data
-
-  Supports all files that FFmpeg can read with the extensions of `extensions/0`. Times are defined as in
-  `Situ.Media.VideoFile`: an image has the time at which it is shown, and an audio buffer (20 ms) the time of its end.
-  The file begins at its own time (see `Situ.Media.FileTime`), or at the option `start:`
-  (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
-
-  Opening lists the file's packets and decodes only the first audio buffer, which takes about half a second, or longer
-  for videos of several hours. Images are decoded on request by a process for each file, which ends when it is idle. It
-  continues from the last image or starts at the previous key frame, and caches up to 64 MB of images for stepping back.
-  Scrubbing is smooth in files with a key frame every few seconds, as most cameras and encoders write them.
-
-  Images are `:bgr24`, and audio has 16 bits. A damaged file returns all readable data, then the error `:damaged_media`.
-  If the last audio buffer is shorter than the file states, it is padded with silence. `size` of a stream is the size of
-  its decoded data, and `stored` is the size of its packets.
-  """
+  @moduledoc false
+  # Opens media files as recordings with the streams `Video` and `Audio`. `Situ.Media` documents them for users.
+  #
+  # Opening decodes only the first audio buffer. A process for each file decodes images on request and ends when it is
+  # idle. It continues from the last image or starts at the previous key frame, and caches up to 64 MB of images for
+  # stepping back. If the last audio buffer is shorter than the file states, it is padded with silence.
   # See docs/adr/0053-media-files-open-as-recordings.md.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   import Bitwise
 
   alias Situ.{AudioBuffer, AudioFormat, Message}

@@ -1,4 +1,14 @@
 defmodule Situ.Media.Speaker do
+  @moduledoc """
+  A sink that plays audio.
+
+      clip.audio |> Situ.Media.Speaker.play()
+
+  Audio buffers are played as they arrive, one after the other. The first buffer sets the format; a later buffer with
+  another format reopens the device. The speaker consumes audio at playback speed, so it slows down a pipeline that runs
+  faster than real time. To change the device's own volume, use the sound system (`pactl set-sink-volume`, `alsamixer`).
+  """
+
   alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Media.Device
   alias Situ.Media.FFmpeg.FormatNames
@@ -23,19 +33,6 @@ defmodule Situ.Media.Speaker do
     ]
   ]
 
-  @moduledoc """
-  A sink that plays audio.
-
-      clip.audio |> Situ.Media.Speaker.play()
-
-  Audio buffers are played as they arrive, one after the other. The first buffer sets the format; a later buffer with
-  another format reopens the device. The speaker consumes audio at playback speed, so it slows down a pipeline that runs
-  faster than real time. To change the device's own volume, use the sound system (`pactl set-sink-volume`, `alsamixer`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, inputs: [in: AudioBuffer], options: @schema
 
   @doc "Connects the speaker to `stream` and returns `stream`."

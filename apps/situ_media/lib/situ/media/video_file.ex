@@ -1,4 +1,22 @@
 defmodule Situ.Media.VideoFile do
+  @moduledoc """
+  A source that reads a media file and emits synchronized images on `:video` and audio on `:audio`, with exact times.
+
+      def build(p, _opts) do
+        clip = Situ.Media.VideoFile.open(p, "talk1.mp4", size: {640, 320})
+        clip.video |> Situ.each(&IO.inspect/1)
+        clip.audio |> Situ.each(&IO.inspect/1)
+      end
+
+  Supports every file that FFmpeg can read: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... If the file has no video or no
+  audio, that stream is `nil` in the result of `open/3`. The time of an image is when it is shown, and the time of an
+  audio buffer is when it ends; `start_time:` sets how media time becomes originating time. The same file gives the same
+  times in every run.
+
+  The source reads on demand, so a slow pipeline makes it wait. A damaged or truncated file emits all readable data,
+  and then the run ends with the error `:damaged_media`. With `on_damage: :warn` it completes with a logged warning.
+  """
+
   alias Situ.Graph.Placement
   alias Situ.Media.{Decoder, FileInfo, FileTime}
 
@@ -19,26 +37,6 @@ defmodule Situ.Media.VideoFile do
             ]
           ] ++ Keyword.drop(Decoder.option_schema(), @hidden)
 
-  @moduledoc """
-  A source that reads a media file and emits synchronized images on `:video` and audio on `:audio`, with exact times.
-
-      def build(p, _opts) do
-        clip = Situ.Media.VideoFile.open(p, "talk1.mp4", size: {640, 320})
-        clip.video |> Situ.each(&IO.inspect/1)
-        clip.audio |> Situ.each(&IO.inspect/1)
-      end
-
-  Supports every file that FFmpeg can read: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... If the file has no video or no
-  audio, that stream is `nil` in the result of `open/3`. The time of an image is when it is shown, and the time of an
-  audio buffer is when it ends; `Situ.Media.FileTime` explains how media time becomes originating time.
-
-  The source reads on demand, so a slow pipeline makes it wait. A damaged or truncated file emits all readable data,
-  and then the run ends with the error `:damaged_media`. With `on_damage: :warn` it completes with a logged warning.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     outputs: [video: Situ.Image, audio: Situ.AudioBuffer],
     options: @schema
@@ -46,7 +44,8 @@ defmodule Situ.Media.VideoFile do
   require Logger
 
   @doc """
-  Adds the source to a pipeline. `opts` are the options above and the component options `name:` and `on_error:`.
+  Adds the source to a pipeline. `opts` are the options of this module and the component options `name:` and
+  `on_error:`.
 
   Returns `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` if the file cannot be read.
   """

@@ -1,4 +1,15 @@
 defmodule Situ.Media.VideoWriter do
+  @moduledoc """
+  A sink that writes synchronized images and audio to one media file, each frame at its own time.
+
+      Situ.Media.VideoWriter.write([video: clip.video, audio: clip.audio], "copy.mp4")
+
+  The earliest first message becomes the file's time 0, so the sink waits until every input has sent a message (or 2 s
+  of stream time have passed). Originating times are kept: `Situ.Media.VideoFile` returns the same times, within the
+  precision of the file format (1/90,000 s in MP4, 1 ms in MKV and WebM). Data before the start of the file is skipped
+  and counted.
+  """
+
   alias Situ.{AudioBuffer, Image}
   alias Situ.Media.Encoder
 
@@ -12,20 +23,6 @@ defmodule Situ.Media.VideoWriter do
             ]
           ] ++ Encoder.option_schema()
 
-  @moduledoc """
-  A sink that writes synchronized images and audio to one media file, each frame at its own time.
-
-      Situ.Media.VideoWriter.write([video: clip.video, audio: clip.audio], "copy.mp4")
-
-  The earliest first message becomes the file's time 0, so the sink waits until every input has sent a message (or 2 s
-  of stream time have passed). Originating times are kept: `Situ.Media.VideoFile` returns the same times, within the
-  precision of the file format (1/90,000 s in MP4, 1 ms in MKV and WebM). Data before the start of the file is skipped
-  and counted.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, inputs: [video: Image, audio: AudioBuffer], options: @schema
 
   require Logger

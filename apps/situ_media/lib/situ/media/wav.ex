@@ -15,16 +15,17 @@ defmodule Situ.Media.Wav do
       iex> File.rm!(path)
       :ok
 
-  For pipelines, use `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). To open a file as a recording, use
-  `Situ.Store.open("talk.wav")`. For compressed WAV (A-law, ADPCM, ...), use `Situ.Media.VideoFile`, which supports
-  every codec of FFmpeg.
+  For pipelines, use `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). To open a file as a recording,
+  use `Situ.Store.open("talk.wav")`: its stream `Audio` has buffers of 20 ms, the file begins at the time stored in it
+  (or at 0, or at the time given by `reader_opts: [start: time]`), and `Situ.Store.info/1` lists missing data under
+  `damage`. For compressed WAV (A-law, ADPCM, ...), use `Situ.Media.VideoFile`, which supports every codec of FFmpeg.
   """
   alias Situ.{AudioBuffer, Error}
   alias Situ.Media.Wav.{Reader, Writer}
 
   @doc """
-  Reads a complete file as one buffer. A truncated file is an error here; `Situ.Media.Wav.Reader` returns its readable
-  part.
+  Reads a complete file as one buffer. A truncated file is an error here; `Situ.Media.WavFile` and `Situ.Store.open/2`
+  read its available part.
   """
   @spec read(Path.t()) :: {:ok, AudioBuffer.t()} | {:error, Error.t()}
   def read(path) do

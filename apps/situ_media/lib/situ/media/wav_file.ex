@@ -1,4 +1,13 @@
 defmodule Situ.Media.WavFile do
+  @moduledoc """
+  A source that reads a WAV file in buffers, without an external program.
+
+      p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
+
+  The originating time of a buffer is the time of its end, exact to the sample. `Situ.Media.Wav` lists the supported
+  kinds of WAV; `start_time:` sets how media time becomes originating time.
+  """
+
   alias Situ.Graph.Placement
   alias Situ.Media.FileTime
   alias Situ.Media.Wav.Reader
@@ -16,18 +25,6 @@ defmodule Situ.Media.WavFile do
     ]
   ]
 
-  @moduledoc """
-  A source that reads a WAV file in buffers, without an external program.
-
-      p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
-
-  The originating time of a buffer is the time of its end, exact to the sample. `Situ.Media.Wav` lists the supported
-  kinds of WAV; `Situ.Media.FileTime` explains how media time becomes originating time.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, outputs: [out: Situ.AudioBuffer], options: @schema
 
   require Logger

@@ -1,4 +1,11 @@
 defmodule Situ.Media.WavWriter do
+  @moduledoc """
+  A sink that writes audio to a WAV file. The first buffer sets the format, and its start becomes the file's start time,
+  which `Situ.Media.WavFile` reads.
+
+      stream |> Situ.Media.WavWriter.write("out.wav")
+  """
+
   alias Situ.AudioBuffer
   alias Situ.Media.Wav.Writer
 
@@ -12,16 +19,6 @@ defmodule Situ.Media.WavWriter do
     ]
   ]
 
-  @moduledoc """
-  A sink that writes audio to a WAV file. The first buffer sets the format, and its start becomes the file's start time,
-  which `Situ.Media.WavFile` reads.
-
-      stream |> Situ.Media.WavWriter.write("out.wav")
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component, inputs: [in: AudioBuffer], options: @schema
 
   # Longer gaps separate two recordings, and filling them would fill the file with silence.

@@ -2,8 +2,6 @@ defmodule Situ.AudioOps.ChannelsTest do
   use ExUnit.Case, async: true
   alias Situ.{AudioBuffer, AudioFormat, AudioOps}
 
-  doctest Situ.AudioOps.Channels
-
   test "names the first sample that is not a number" do
     for {sample, good, bad} <- [
           {:f32, <<0.5::float-little-32>>, <<0, 0, 0xC0, 0x7F>>},

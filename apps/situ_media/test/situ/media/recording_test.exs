@@ -31,7 +31,7 @@ defmodule Situ.Media.RecordingTest do
   defp wanted(items, kind), do: for({^kind, time, data} <- items, do: {time, data})
 
   test "opens a video file by its extension and lists its streams" do
-    assert Store.Formats.for_file("somewhere/CLIP.MP4") == Recording
+    assert Situ.Recording.Formats.for_file("somewhere/CLIP.MP4") == Recording
     store = Store.open!(@talk)
     assert %{name: "talk1", closed?: true, live?: false, damage: []} = Store.info(store)
 
@@ -91,7 +91,7 @@ defmodule Situ.Media.RecordingTest do
 
     kept = fn ->
       [{pid, _}] = Registry.lookup(Situ.Media.Recording.Registry, key)
-      :sys.get_state(pid).kept |> Map.keys() |> Enum.sort()
+      :sys.get_state(pid).cache |> Map.keys() |> Enum.sort()
     end
 
     assert {:ok, [{40, image}]} = Images.fetch_range(recording, 40, 1)

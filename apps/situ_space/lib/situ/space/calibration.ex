@@ -1,4 +1,20 @@
 defmodule Situ.Space.Calibration do
+  @moduledoc """
+  Estimates a camera's intrinsics, and optionally its pose, from points with known positions and pixels.
+
+  The estimate minimizes the reprojection error by nonlinear least squares, with the Levenberg-Marquardt method (D.
+  Marquardt, An Algorithm for Least-Squares Estimation of Nonlinear Parameters, 1963) and central differences, like
+  \\\\psi's `CalibrateCameraIntrinsics`.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 525}, radial: [0.05, -0.02])
+      iex> points = for y <- -3..3, z <- -2..2, x <- [2.0, 3.0], do: {x, y * 0.25, z * 0.25}
+      iex> seen = for p <- points, {:ok, pixel} <- [Situ.Space.Camera.project(camera, p)], do: {p, pixel}
+      iex> {:ok, found} = Situ.Space.Calibration.calibrate_camera(seen, {640, 480}, distortion: :radial)
+      iex> {fx, fy} = found.intrinsics.focal
+      iex> {Float.round(fx, 3), Float.round(fy, 3), found.error < 1.0e-6}
+      {520.0, 525.0, true}
+  """
+
   @distortion [
     type: {:in, [:none, :radial, :full]},
     default: :full,
@@ -20,21 +36,6 @@ defmodule Situ.Space.Calibration do
     rounds: [type: :pos_integer, default: 100, doc: "The maximum number of steps."]
   ]
 
-  @moduledoc """
-  Estimates a camera's intrinsics, and optionally its pose, from points with known positions and pixels.
-
-  The estimate minimizes the reprojection error by nonlinear least squares, with the Levenberg-Marquardt method (D.
-  Marquardt, An Algorithm for Least-Squares Estimation of Nonlinear Parameters, 1963) and central differences, like
-  \\\\psi's `CalibrateCameraIntrinsics`.
-
-      iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 525}, radial: [0.05, -0.02])
-      iex> points = for y <- -3..3, z <- -2..2, x <- [2.0, 3.0], do: {x, y * 0.25, z * 0.25}
-      iex> seen = for p <- points, {:ok, pixel} <- [Situ.Space.Camera.project(camera, p)], do: {p, pixel}
-      iex> {:ok, found} = Situ.Space.Calibration.calibrate_camera(seen, {640, 480}, distortion: :radial)
-      iex> {fx, fy} = found.intrinsics.focal
-      iex> {Float.round(fx, 3), Float.round(fy, 3), found.error < 1.0e-6}
-      {520.0, 525.0, true}
-  """
   alias Situ.{CameraIntrinsics, Error, Pose, Quaternion, Vector3}
   alias Situ.Space.{Camera, LeastSquares}
 

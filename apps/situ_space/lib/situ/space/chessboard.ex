@@ -1,7 +1,6 @@
 defmodule Situ.Space.Chessboard do
   @moduledoc """
-  Finds chessboards in images and calibrates a camera from them: its intrinsics, and the pose of each board. OpenCV
-  (`Situ.Space.OpenCV`) finds corners with subpixel accuracy and calibrates by Zhang's method.
+  Finds chessboards in images and calibrates a camera from them: its intrinsics, and the pose of each board.
 
       boards = for picture <- pictures, {:ok, corners} <- [Chessboard.corners(picture, {9, 6})], do: corners
       {:ok, found} = Chessboard.calibrate(boards, {9, 6}, 0.025, {640, 480})
@@ -11,6 +10,9 @@ defmodule Situ.Space.Chessboard do
   because otherwise the board looks the same when rotated by half a turn. Ten boards that are tilted, near and far, and
   spread over the image determine the focal length to a tenth of a percent. Boards that all face the camera do not
   determine it.
+
+  OpenCV finds corners with subpixel accuracy and calibrates by Zhang's method. It runs in a separate program
+  (`Situ.Space.OpenCV`), which `bin/setup --with opencv` builds.
   """
   alias Situ.{CameraIntrinsics, Error, Image, ImageOps, Pose, Quaternion, Vector3}
   alias Situ.Space.OpenCV

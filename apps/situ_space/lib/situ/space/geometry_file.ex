@@ -1,23 +1,9 @@
 defmodule Situ.Space.GeometryFile do
-  @moduledoc """
-  Opens files of points and surfaces as recordings of one message: `Situ.Store.open("hill.las")`,
-  `bin/situ studio chair.ply`.
-
-  | extension | content read | stream |
-  |---|---|---|
-  | `.dae` | Collada 1.4 and 1.5: the scene's triangles, in metres and z up, without materials | `Mesh` |
-  | `.glb`, `.gltf` | glTF 2.0 with its files, not compressed: the scene's triangles, without materials | `Mesh` |
-  | `.las`, `.laz` | LAS 1.0 to 1.4, compressed or not, with colours | `Points`: a `Situ.PointCloud` |
-  | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` for files without faces |
-  | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
-  | `.ply` | PLY as text or bytes, with colours, intensity or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
-  | `.stl` | STL as bytes or text | `Mesh` |
-
-  Positions in a LAS file are relative to the lower corner of its bounds, because 32-bit floats cannot represent the
-  coordinates of a whole country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. All these
-  files have no time, so the message has time 0. Files are read into memory and may have up to 2 GB.
-  """
-  @behaviour Situ.Store.Reader
+  @moduledoc false
+  # Opens files of points and surfaces as recordings of one message. `Situ.Space` lists the extensions, their content
+  # and their streams.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Mesh, Message, PointCloud}
   alias Situ.Space.GeometryFile.{Collada, Gltf, Las, Obj, Pcd, Ply, Stl}

@@ -1,13 +1,9 @@
 defmodule Situ.Space.Gpx do
-  @moduledoc """
-  Opens GPX files (tracks of GPS receivers) as recordings: `Situ.Store.open("walk.gpx")`, `bin/situ studio walk.gpx`.
-
-  The timestamped points of all tracks become the stream `Track` of `Situ.GeoPoint`s, sorted by time. Of two points with
-  the same time, the later one in the file is dropped. GPX 1.0 and 1.1 are supported. Other content (way points, routes,
-  extensions) is skipped, and `Situ.Store.info/1` reports the number of points without a time as `untimed`. Files may
-  have up to 200 MB.
-  """
-  @behaviour Situ.Store.Reader
+  @moduledoc false
+  # Opens GPX files as recordings (`Situ.Geo` documents the stream). GPX 1.0 and 1.1 are supported. Of two points with
+  # the same time, the later one in the file is dropped. Files may have up to 200 MB.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, GeoPoint, Message, Time, Xml}
   alias Situ.Space.GeometryFile.NumberParser

@@ -1,14 +1,8 @@
 defmodule Situ.Space.LeastSquares do
-  @moduledoc """
-  Finds the values that minimize the sum of squares of a function's results, by Levenberg-Marquardt with central
-  differences. It suits a few dozen values and some thousand results.
-
-      iex> curve = fn a, b -> for x <- 0..9, do: a * :math.exp(b * x / 10) end
-      iex> off = fn [a, b] -> Enum.zip_with(curve.(a, b), curve.(2.0, 0.3), &(&1 - &2)) end
-      iex> {:ok, {[a, b], square}} = Situ.Space.LeastSquares.minimize([1.0, 1.0], off, 50)
-      iex> {Float.round(a, 6), Float.round(b, 6), square < 1.0e-12}
-      {2.0, 0.3, true}
-  """
+  @moduledoc false
+  # Finds the values that minimize the sum of squares of a function's results, by
+  # Levenberg-Marquardt with central differences. It suits a few dozen values and some thousand
+  # results.
   alias Situ.Error
 
   @enough 1.0e-14
@@ -16,7 +10,15 @@ defmodule Situ.Space.LeastSquares do
 
   @type result :: {:ok, {[float()], square :: float()}} | {:error, Error.t()}
 
-  @doc "Minimizes from `start` in at most `rounds` steps. Results that are not numbers are an error."
+  @doc """
+  Minimizes from `start` in at most `rounds` steps. Results that are not numbers are an error.
+
+      iex> curve = fn a, b -> for x <- 0..9, do: a * :math.exp(b * x / 10) end
+      iex> off = fn [a, b] -> Enum.zip_with(curve.(a, b), curve.(2.0, 0.3), &(&1 - &2)) end
+      iex> {:ok, {[a, b], square}} = Situ.Space.LeastSquares.minimize([1.0, 1.0], off, 50)
+      iex> {Float.round(a, 6), Float.round(b, 6), square < 1.0e-12}
+      {2.0, 0.3, true}
+  """
   @spec minimize([float()], ([float()] -> [float()]), pos_integer()) :: result()
   def minimize(start, fun, rounds) do
     results = fun.(start)

@@ -1,15 +1,14 @@
 defmodule Situ.Space.OpenCV do
   @moduledoc """
-  Runs OpenCV's `calib3d` in the separate program `opencv_port`, for chessboards (`Situ.Space.Chessboard`) and stereo
-  (`Situ.Space.Stereo`). `bin/setup --with opencv` builds it, and no other module needs it. A crash of the program
-  affects only its session.
+  A running OpenCV program that several calls of `Situ.Space.Chessboard` share.
 
       {:ok, session} = Situ.Space.OpenCV.open()
       {:ok, corners} = Situ.Space.Chessboard.corners(picture, {9, 6}, session: session)
       Situ.Space.OpenCV.close(session)
 
-  A session ends with the process that opened it. Functions called without a session open one for that call, which takes
-  about 50 ms.
+  OpenCV's `calib3d` runs in the separate program `opencv_port`, so a crash affects only its session. `bin/setup
+  --with opencv` builds the program, and only chessboards and `Situ.Space.StereoDepth` need it. A session ends with
+  the process that opened it. Functions called without a session open one for that call, which takes about 50 ms.
   """
   # See docs/adr/0105-large-libraries-run-in-separate-programs.md.
 
@@ -23,7 +22,8 @@ defmodule Situ.Space.OpenCV do
 
   @timeout 60_000
 
-  @doc "Returns the path of the program. Error: `:no_opencv_port`."
+  @doc false
+  # Returns the path of the program.
   @spec fetch_program() :: {:ok, Path.t()} | {:error, Error.t()}
   def fetch_program do
     path =
@@ -41,7 +41,10 @@ defmodule Situ.Space.OpenCV do
     end
   end
 
-  @doc "Starts the program for the calling process. `timeout:` limits the time of a request, ms (default: one minute)."
+  @doc """
+  Starts the program for the calling process. `timeout:` limits the time of a request, ms (default: one minute). Error:
+  `:no_opencv_port`.
+  """
   @spec open(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(opts \\ []) do
     with {:ok, program} <- fetch_program() do

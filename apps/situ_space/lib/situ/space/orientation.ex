@@ -1,4 +1,8 @@
 defmodule Situ.Space.Orientation do
+  @moduledoc false
+  # Estimates the orientation of an inertial sensor from its readings, one by one. `Situ.Space.orientation/2` documents
+  # the method and the options.
+
   @schema [
     gain: [
       type: :number,
@@ -30,23 +34,6 @@ defmodule Situ.Space.Orientation do
     ]
   ]
 
-  @moduledoc """
-  Estimates the orientation of an inertial sensor from its readings. The orientation is the rotation from the sensor's
-  axes to the world's: x north (magnetic north, or the initial heading without a magnetometer), y west, z up.
-
-  The estimator is a complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear
-  Complementary Filters on the Special Orthogonal Group, IEEE TAC 53(5), 2008. It integrates the gyroscope. The
-  direction of gravity, and the horizontal direction of the magnetic field, correct its drift.
-
-      iex> alias Situ.Space.Orientation
-      iex> level = Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.1})
-      iex> o = Enum.reduce(0..100, Orientation.new(), &Orientation.update(&2, level, &1 * 10_000_000))
-      iex> {yaw, _, _} = Situ.Quaternion.to_euler(o.rotation)
-      iex> Float.round(yaw, 6)
-      0.1
-
-  For streams, use `Situ.Space.orientation/2`.
-  """
   alias Situ.{ImuReading, Quaternion, Vector3}
 
   defstruct [:opts, :time, rotation: nil, drift: {0.0, 0.0, 0.0}]
@@ -70,6 +57,13 @@ defmodule Situ.Space.Orientation do
   Builds a filter.
 
   #{Situ.Options.docs(@schema)}
+
+      iex> alias Situ.Space.Orientation
+      iex> level = Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.1})
+      iex> o = Enum.reduce(0..100, Orientation.new(), &Orientation.update(&2, level, &1 * 10_000_000))
+      iex> {yaw, _, _} = Situ.Quaternion.to_euler(o.rotation)
+      iex> Float.round(yaw, 6)
+      0.1
   """
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}

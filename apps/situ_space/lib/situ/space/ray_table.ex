@@ -2,10 +2,8 @@ defmodule Situ.Space.RayTable do
   @moduledoc """
   The ray direction of every pixel of a camera, computed once and used for every depth image of that camera.
 
-      iex> camera = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {2, 2})
-      iex> {:ok, table} = Situ.Space.RayTable.new(camera)
-      iex> {table.width, table.height, byte_size(table.rays)}
-      {4, 2, 64}
+      {:ok, table} = Situ.Space.RayTable.new(intrinsics)
+      {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
   """
   alias Situ.{CameraIntrinsics, Error}
   alias Situ.Space.NativeCall
@@ -28,6 +26,11 @@ defmodule Situ.Space.RayTable do
   Builds the table of a camera. Pixels whose distortion cannot be removed have no ray and yield no point.
 
   #{Situ.Options.docs(@schema)}
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {2, 2})
+      iex> {:ok, table} = Situ.Space.RayTable.new(camera)
+      iex> {table.width, table.height, byte_size(table.rays)}
+      {4, 2, 64}
   """
   @spec new(CameraIntrinsics.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%CameraIntrinsics{} = c, opts \\ []) do

@@ -2,6 +2,7 @@ defmodule Situ.Space.Registration do
   @moduledoc """
   Relates a depth camera to another camera next to it. It finds the pixel of the other camera that corresponds to a
   depth pixel, the 3D point that a pixel of the other camera shows, and the colours of a point cloud.
+
   Both cameras are given as views (`Situ.CameraView`) with their intrinsics and with poses in the same frame. The
   calibration of a device (intrinsics for each camera, and the pose of one in the other's frame) yields two such views:
 

@@ -1,4 +1,8 @@
 defmodule Situ.Space.Stereo do
+  @moduledoc false
+  # Computes depth from a pair of rectified images, with OpenCV's semi-global matching. `Situ.Space.StereoDepth`
+  # documents the method and does the same for streams.
+
   @schema [
     least: [
       type: {:range, -1_024, 1_024},
@@ -34,26 +38,6 @@ defmodule Situ.Space.Stereo do
     ]
   ]
 
-  @moduledoc """
-  Computes depth from the images of two cameras side by side, by semi-global matching (H. Hirschmueller, Stereo
-  Processing by Semi-Global Matching and Mutual Information, 2008), as implemented by OpenCV (`Situ.Space.OpenCV`).
-
-  The images must be rectified: an object in a row of the left image is in the same row of the right one, further left
-  by its disparity. Depth is focal length times the distance between the cameras, divided by disparity.
-
-      {:ok, depth} = Situ.Space.Stereo.compute_depth(left, right, focal: 994.98, baseline: 0.193)
-      {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
-
-  For streams, use `Situ.Space.StereoDepth`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:bad_image` for images that differ in size, `:bad_option`, `:no_opencv_port`, `:opencv_failed`.
-  """
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Space.{Chessboard, OpenCV}
 

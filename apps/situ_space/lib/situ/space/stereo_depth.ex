@@ -1,20 +1,24 @@
 defmodule Situ.Space.StereoDepth do
-  @schema Situ.Space.Stereo.optics_schema() ++
-            Keyword.delete(Situ.Space.Stereo.option_schema(), :session)
-
   @moduledoc """
-  Computes depth images from a stream of pairs of rectified images with `Situ.Space.Stereo`, in one `opencv_port`.
+  Computes depth images from the images of two cameras side by side.
 
       left
       |> Situ.join(right)
       |> Situ.via(Situ.Space.StereoDepth, focal: 994.98, baseline: 0.193)
 
-  Input: pairs `{left, right}` of `Situ.Image`. An invalid pair is an error of the component (`on_error:`).
+  Input: pairs `{left, right}` of `Situ.Image`. They must be rectified: an object in a row of the left image is in the
+  same row of the right one, further left by its disparity. Depth is focal length times the distance between the
+  cameras, divided by disparity.
 
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
+  OpenCV computes the disparities by semi-global matching (H. Hirschmueller, Stereo Processing by Semi-Global Matching
+  and Mutual Information, 2008) in a separate program, which `bin/setup --with opencv` builds. Without it, the
+  pipeline does not start (`:no_opencv_port`). Other errors are `:bad_image` for images that differ in size,
+  `:bad_option` and `:opencv_failed`; they are errors of the component (`on_error:`).
   """
+
+  @schema Situ.Space.Stereo.optics_schema() ++
+            Keyword.delete(Situ.Space.Stereo.option_schema(), :session)
+
   use Situ.Component, inputs: [in: :any], outputs: [out: Situ.DepthImage], options: @schema
 
   alias Situ.Error

@@ -1,4 +1,23 @@
 defmodule Situ.Space.SyntheticRoom do
+  @moduledoc """
+  A rendered room, seen by a depth camera, with two people, furniture and a floating ball. Everything is known exactly
+  and is the same on every run. Use it to try things without hardware, and to compare results with the ground truth.
+
+      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
+      Situ.each(camera.depth, fn view -> IO.inspect(view.viewed) end)
+
+  The streams other than `depth` and `color` (both `Situ.CameraView`s) are in `others`:
+
+    * `bodies`: a list of `Situ.Skeleton`, ids 0 and 1
+    * `pointing`: the `Situ.Ray3` along which person 1 points at the ball
+    * `ball`: the position of the ball, a `Situ.Point3`
+    * `imu`: `Situ.ImuReading`s of a sensor in the camera
+    * `sound`: `Situ.AudioBuffer`s, mono, 16 bits
+    * `speaking`: a map from each person's id to whether that person is speaking
+
+  Depth is exact to one millimetre, the unit of its 16 bits, and 0 beyond their range.
+  """
+
   alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, CameraView, DepthImage, Image, Skeleton}
   alias Situ.Space.{DepthCamera, NativeCall, RayTable}
   alias Situ.Space.SyntheticRoom.{Scene, Voice}
@@ -26,28 +45,6 @@ defmodule Situ.Space.SyntheticRoom do
     sound_rate: [type: :pos_integer, default: 16_000, doc: "Audio samples per second."]
   ]
 
-  @moduledoc """
-  A rendered room, seen by a depth camera, with two people, furniture and a floating ball. Everything is known exactly
-  and is the same on every run. Use it to try things without hardware, and to compare results with the ground truth.
-
-      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
-      Situ.each(camera.depth, fn view -> IO.inspect(view.viewed) end)
-
-  The streams other than `depth` and `color` (both `Situ.CameraView`s) are in `others`:
-
-    * `bodies`: a list of `Situ.Skeleton`, ids 0 and 1
-    * `pointing`: the `Situ.Ray3` along which person 1 points at the ball
-    * `ball`: the position of the ball, a `Situ.Point3`
-    * `imu`: `Situ.ImuReading`s of a sensor in the camera
-    * `sound`: `Situ.AudioBuffer`s, mono, 16 bits
-    * `speaking`: a map from each person's id to whether that person is speaking
-
-  Depth is exact to one millimetre, the unit of its 16 bits, and 0 beyond their range.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   use Situ.Component,
     outputs: [
       depth: CameraView,

@@ -1,17 +1,16 @@
 defmodule Situ.Store.AtomicFile do
-  @moduledoc """
-  Writes and renames files so that a power failure leaves either the old state or the new one.
+  @moduledoc false
+  # Writes and renames files so that a power failure leaves either the old state or the new one.
+
+  @doc """
+  Replaces the content of the file `path`. When it returns, the new content is complete and on disk. If it fails, `path`
+  is unchanged.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-atomic-#{System.pid()}")
       iex> Situ.Store.AtomicFile.write(path, ["all", " of it"])
       :ok
       iex> {File.read!(path), File.rm!(path)}
       {"all of it", :ok}
-  """
-
-  @doc """
-  Replaces the content of the file `path`. When it returns, the new content is complete and on disk. If it fails, `path`
-  is unchanged.
   """
   @spec write(Path.t(), iodata()) :: :ok | {:error, File.posix()}
   def write(path, content) do

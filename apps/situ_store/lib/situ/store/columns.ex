@@ -16,8 +16,9 @@ defmodule Situ.Store.Columns do
       iex> Situ.Store.delete(writer.path)
       :ok
 
-  `times` and `creation_times` are nanoseconds, eight bytes each (little-endian, signed); `values` are eight bytes each
-  (`:integer`: little-endian, signed; `:float`: little-endian, finite), or one byte each, 0 or 1 (`:boolean`).
+  `Situ.Store.columns/3` returns columns. `times` and `creation_times` are nanoseconds, eight bytes each (little-endian,
+  signed). `values` are eight bytes each (`:integer`: little-endian, signed; `:float`: little-endian, finite), or one
+  byte each, 0 or 1 (`:boolean`).
   """
 
   # Reading one message costs 3 µs, most of it for terms that are not used. With columns,

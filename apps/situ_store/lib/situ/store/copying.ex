@@ -1,14 +1,15 @@
 defmodule Situ.Store.Copying do
-  @moduledoc """
-  Copies, crops and concatenates stores. Called through `Situ.Store`. Envelopes, types, metadata, codecs and payloads
-  are copied unchanged, even if this system has no module for them. The originals are only read.
-
-  A new store gets its name when it is complete. A program that is killed halfway leaves a folder `NAME.*.unfinished`,
-  which the next program to create a store of this name deletes.
-  """
+  @moduledoc false
+  # Copies, crops and concatenates stores. Called through `Situ.Store`. Envelopes, types,
+  # metadata, codecs and payloads are copied unchanged, even if this system has no module for
+  # them. The originals are only read.
+  #
+  # A new store gets its name when it is complete. A program that is killed halfway leaves a
+  # folder `NAME.*.unfinished`, which the next program to create a store of this name deletes.
   alias Situ.Error
   alias Situ.Store.Copying.Passes
-  alias Situ.Store.{Draft, NativeErrors, Folder, Formats, Query, StreamInfo}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Draft, NativeErrors, Folder, Query, StreamInfo}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -44,23 +45,30 @@ defmodule Situ.Store.Copying do
         "Durability during writing, as in `Situ.Store.Writer.create/3`. The finished store is always synced to disk."
     ]
   ]
-  @crop_options @options ++
-                  [
-                    start: [
-                      type: :integer,
-                      doc: "Start in ns after the store's first message, instead of `from:`."
-                    ],
-                    length: [type: :non_neg_integer, doc: "Length in ns, instead of `to:`."]
-                  ]
+  @interval_options [
+    start: [
+      type: :integer,
+      doc: "Start in ns after the store's first message, instead of `from:`."
+    ],
+    length: [type: :non_neg_integer, doc: "Length in ns, instead of `to:`."]
+  ]
+  @compact_options @options
+                   |> Keyword.take([:compression, :progress, :durability])
+                   |> Keyword.put(:skip_damage,
+                     type: :boolean,
+                     default: false,
+                     doc: "Skip damaged chunks."
+                   )
 
-  @doc """
-  Copies a store (or an external file) into a new one: `{:ok, path}`.
+  @spec copy_options() :: Situ.Options.schema()
+  def copy_options, do: @options
 
-  `to` is `{name, root}`, or a path whose last part is the name. By default the copy becomes a new version of that
-  name.
+  @spec interval_options() :: Situ.Options.schema()
+  def interval_options, do: @interval_options
 
-  #{Situ.Options.docs(@options)}
-  """
+  @spec compact_options() :: Situ.Options.schema()
+  def compact_options, do: @compact_options
+
   @spec copy(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
@@ -75,24 +83,6 @@ defmodule Situ.Store.Copying do
   @earliest -0x8000000000000000
   @latest 0x7FFFFFFFFFFFFFFF
 
-  @compact_options @options
-                   |> Keyword.take([:compression, :progress, :durability])
-                   |> Keyword.put(:skip_damage,
-                     type: :boolean,
-                     default: false,
-                     doc: "Skip damaged chunks."
-                   )
-  @doc """
-  Rewrites a store in place: combines many small commits into full chunks, and drops gaps and retracted data. Returns
-  `{:ok, path}`.
-
-  The new store is complete and on disk before the two stores exchange their names in one step. The old store is deleted
-  last. If the program is killed during compaction, the recording keeps its name. On a file system that cannot exchange
-  names, the old store may remain as `NAME.before-compaction`, and `repair/2` restores it. Damage is an error unless
-  `skip_damage: true` is given.
-
-  #{Situ.Options.docs(@compact_options)}
-  """
   @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
   def compact(path, opts \\ []) do
     opts = Keyword.put_new(opts, :durability, {:interval, 10_000})
@@ -123,14 +113,10 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  @doc """
-  Copies an interval: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Works
-  like `copy/3` in all other respects.
-  """
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def crop(from, to, opts) do
-    with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
+    with {:ok, opts} <- Situ.Options.validate(opts, @options ++ @interval_options),
          {:ok, store} <- open_source(from, opts[:times]) do
       {first, _last} = Query.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
@@ -148,10 +134,6 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  @doc """
-  Concatenates several stores into one. Streams of the same name are appended in time order. They must have the same
-  type and must not overlap. Takes the options of `copy/3`.
-  """
   @spec concat([Path.t()], Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def concat(paths, to, opts \\ []) do

@@ -1,25 +1,12 @@
 defmodule Situ.Store.Csv do
-  @moduledoc """
-  Reads CSV files as recordings: one column contains times, and every other column becomes a stream.
-
-  Options (`Situ.Store.open(path, reader_opts: [...])`):
-
-    * `time:` the name or number (0 is the first) of the time column; default: the first column whose name looks like a
-      time, or else the first column
-    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` detects ISO 8601, and reads numbers in
-      the unit given by the column's name (`t_ms`, `Timestamp (us)`) or else in seconds
-    * `start:` ns added to every time, default 0
-    * `separator:` default: `,`, `;` or tab, whichever occurs most often in the first line
-
-  Fields that look like numbers are numbers; all others are strings. A column is `:integer`, `:float` or `:string`,
-  depending on all its fields. An empty field produces no message. Quoting follows RFC 4180: a quoted field may contain
-  separators, (doubled) quotes and line breaks. Rows that are invalid or whose time does not increase are skipped and
-  reported as damage in `Situ.Store.info/1`.
-
-  Files of any size are supported. Opening scans the file once and keeps only the position of every 1,000th row, where
-  later reads start. Copying into a store (`Situ.Store.copy/3`) reads all columns in one further pass.
-  """
-  @behaviour Situ.Store.Reader
+  @moduledoc false
+  # Reads CSV files as recordings. `Situ.Store.open/2` documents the options.
+  #
+  # Files of any size are supported. Opening scans the file once and keeps only the position of
+  # every 1,000th row, where later reads start. Copying into a store (`Situ.Store.copy/3`) reads
+  # all columns in one further pass.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.{Error, Message}
   alias Situ.Store.Csv.{ColumnCopy, Scan}
   alias Situ.Store.StreamInfo
@@ -98,7 +85,7 @@ defmodule Situ.Store.Csv do
   end
 
   @impl true
-  def append_streams(state, targets, {from, _to} = interval, told) do
+  def append_streams(state, targets, {from, _to} = interval, report_progress) do
     # A column without fields has no kind and no messages.
     filled = for {%{count: count}, _stream} = target <- targets, count > 0, do: target
 
@@ -108,7 +95,7 @@ defmodule Situ.Store.Csv do
       targets: filled,
       interval: interval,
       messages: &part_messages(state, &1, &2),
-      told: told
+      report_progress: report_progress
     }
 
     with {:error, why} when is_binary(why) <-

@@ -1,11 +1,9 @@
 defmodule Situ.Store.Editing do
-  @moduledoc """
-  Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
-  """
+  @moduledoc false
+  # Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original
+  # is only read.
   alias Situ.{Error, Message}
   alias Situ.Store.{Copying, Draft, NativeErrors, Query, StreamInfo, Transfer, Writer}
-
-  @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
   @options [
     add: [
@@ -23,14 +21,15 @@ defmodule Situ.Store.Editing do
     versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."]
   ]
 
-  @doc """
-  Creates a new store with edits applied by exact originating time. `edits` is a map of stream names to
-  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message at that time or inserts one. Its data must
-  match the stream's type. Everything else is copied unchanged.
+  @spec edit_options() :: Situ.Options.schema()
+  def edit_options, do: @options
 
-  #{Situ.Options.docs(@options)}
-  """
-  @spec edit(Path.t(), Path.t() | {String.t(), Path.t()}, %{String.t() => [edit()]}, keyword()) ::
+  @spec edit(
+          Path.t(),
+          Path.t() | {String.t(), Path.t()},
+          %{String.t() => [Situ.Store.edit()]},
+          keyword()
+        ) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def edit(from, to, edits, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),

@@ -1,17 +1,10 @@
 defmodule Situ.Store.Envelopes do
-  @moduledoc """
-  Makes the envelopes of recorded messages monotonic. Pure.
-
-  Recorded sequence ids and creation times are kept if they do not decrease. Where recordings were concatenated or
-  edited, a loop starts over, or the next version begins, ids continue from the previous ones. Where the clock was set
-  back, creation times stay at the latest value.
-
-      iex> message = %Situ.Message{data: :a, originating_time: 1, creation_time: 10, sequence_id: 1}
-      iex> two = [message, %{message | originating_time: 2, creation_time: 5, sequence_id: 2}]
-      iex> {messages, last} = Situ.Store.Envelopes.make_monotonic(two, {4, 8})
-      iex> {Enum.map(messages, &{&1.sequence_id, &1.creation_time}), last}
-      {[{5, 10}, {6, 10}], {6, 10}}
-  """
+  @moduledoc false
+  # Makes the envelopes of recorded messages monotonic. Pure.
+  #
+  # Recorded sequence ids and creation times are kept if they do not decrease. Where recordings
+  # were concatenated or edited, a loop starts over, or the next version begins, ids continue from
+  # the previous ones. Where the clock was set back, creation times stay at the latest value.
   alias Situ.Message
 
   @typedoc "The latest sequence id and creation time."
@@ -21,7 +14,15 @@ defmodule Situ.Store.Envelopes do
   @spec initial_envelope() :: last()
   def initial_envelope, do: {0, -0x7FFFFFFFFFFFFFFF}
 
-  @doc "Returns the messages with ids and creation times that continue after `last`, and the new `last`."
+  @doc """
+  Returns the messages with ids and creation times that continue after `last`, and the new `last`.
+
+      iex> message = %Situ.Message{data: :a, originating_time: 1, creation_time: 10, sequence_id: 1}
+      iex> two = [message, %{message | originating_time: 2, creation_time: 5, sequence_id: 2}]
+      iex> {messages, last} = Situ.Store.Envelopes.make_monotonic(two, {4, 8})
+      iex> {Enum.map(messages, &{&1.sequence_id, &1.creation_time}), last}
+      {[{5, 10}, {6, 10}], {6, 10}}
+  """
   @spec make_monotonic([Message.t()], last()) :: {[Message.t()], last()}
   def make_monotonic(messages, {sequence, creation} = last) do
     case check_order(messages, sequence, creation) do

@@ -1,9 +1,7 @@
 defmodule Situ.Store.Exporter do
-  @moduledoc """
-  A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to `Situ.Store.write/4`.
-
-  The store is closed when the pipeline has completed, whether it succeeded or failed.
-  """
+  @moduledoc false
+  # A store that a pipeline is writing, created by `Situ.Store.create/4` and passed to
+  # `Situ.Store.write/4`, which document it.
   alias Situ.{Options, Pipeline, Stream}
 
   alias Situ.Store.{
@@ -34,7 +32,8 @@ defmodule Situ.Store.Exporter do
                        type: :boolean,
                        default: false,
                        doc:
-                         "Store the keys of the stream's maps in its metadata (`Situ.Store.KeyRecorder`)."
+                         "Store the sorted keys of the stream's maps in its metadata under `\"keys\"`, so that a " <>
+                           "viewer can offer them without reading the recording."
                      ],
                      policy: [
                        type: :any,
@@ -70,12 +69,12 @@ defmodule Situ.Store.Exporter do
   ]
 
   @enforce_keys [:path, :shared]
-  defstruct [:path, :shared, :pieces, eager: false]
+  defstruct [:path, :shared, :rotation, eager: false]
 
   @type t :: %__MODULE__{
           path: Path.t(),
           shared: SharedWriter.t() | nil,
-          pieces: {pid(), SplitPoint.t()} | nil,
+          rotation: {pid(), SplitPoint.t()} | nil,
           eager: boolean()
         }
 
@@ -97,10 +96,10 @@ defmodule Situ.Store.Exporter do
         else: {Path.expand(root), opts}
 
     opts = Options.validate!(opts, create_options())
-    {pieces, opts} = Keyword.split(opts, [:split, :keep])
+    {rotation, opts} = Keyword.split(opts, [:split, :keep])
 
-    if pieces[:split],
-      do: create_segmented(p, {name, root, opts}, pieces[:split], pieces[:keep]),
+    if rotation[:split],
+      do: create_segmented(p, {name, root, opts}, rotation[:split], rotation[:keep]),
       else: create_single_store(p, name, root, opts)
   end
 
@@ -122,13 +121,13 @@ defmodule Situ.Store.Exporter do
   defp create_segmented(p, {name, root, opts}, split, keep) do
     cut = SplitPoint.new(split)
 
-    {:ok, pieces} =
+    {:ok, rotation} =
       Rotation.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
 
-    :ok = Pipeline.on(p, :completed, fn _report -> Rotation.close_all(pieces) end, pieces)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Rotation.close_all(pieces) end, pieces)
+    :ok = Pipeline.on(p, :completed, fn _report -> Rotation.close_all(rotation) end, rotation)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Rotation.close_all(rotation) end, rotation)
     eager = opts[:durability] == :each
-    %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, cut}, eager: eager}
+    %__MODULE__{path: Path.join(root, name), shared: nil, rotation: {rotation, cut}, eager: eager}
   end
 
   defp create_single_store(p, name, root, opts) do
@@ -153,7 +152,7 @@ defmodule Situ.Store.Exporter do
     opts = Options.validate!(opts, @write_options)
     type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
 
-    if exporter.pieces,
+    if exporter.rotation,
       do: write_segmented(stream, exporter, name, stream_options_for(opts, type), opts),
       else: write_single_store(stream, exporter, name, stream_options_for(opts, type), opts)
   end
@@ -181,8 +180,8 @@ defmodule Situ.Store.Exporter do
   end
 
   defp write_segmented(stream, exporter, name, of_stream, opts) do
-    {pieces, cut} = exporter.pieces
-    given = [pieces: {pieces, cut, name, of_stream}, envelopes: opts[:envelopes]]
+    {rotation, cut} = exporter.rotation
+    given = [rotation: {rotation, cut, name, of_stream}, envelopes: opts[:envelopes]]
     Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component_options(name, opts))
     stream
   end

@@ -1,21 +1,11 @@
 defmodule Situ.Store.FileLock do
-  @moduledoc """
-  A lock between operating system processes, for files that several programs edit, such as a dataset file or the journal
-  of an annotation stream.
-
-      iex> path = Path.join(System.tmp_dir!(), "situ-doc-lock-#{System.pid()}")
-      iex> {:ok, lock} = Situ.Store.FileLock.acquire(path)
-      iex> {:held, holder} = Situ.Store.FileLock.acquire(path)
-      iex> holder.os_pid == System.pid()
-      true
-      iex> :ok = Situ.Store.FileLock.release(lock)
-      iex> File.exists?(path)
-      false
-
-  The lock belongs to one Erlang process. It is released when that process ends or its lock term is garbage collected.
-  If the whole program dies, the operating system releases it. While the lock is held, its file describes the holder
-  (`t:holder/0`).
-  """
+  @moduledoc false
+  # A lock between operating system processes, for files that several programs edit, such as a
+  # dataset file or the journal of an annotation stream.
+  #
+  # The lock belongs to one Erlang process. It is released when that process ends or its lock term
+  # is garbage collected. If the whole program dies, the operating system releases it. While the
+  # lock is held, its file describes the holder (`t:holder/0`).
   alias Situ.Error
   alias Situ.Store.{NativeErrors, Native}
 
@@ -37,6 +27,15 @@ defmodule Situ.Store.FileLock do
   @doc """
   Acquires the lock for the calling process: `{:ok, lock}`, or `{:held, holder}` if another process still holds it after
   `wait_ms`. `path` must be a file that is used only for this lock.
+
+      iex> path = Path.join(System.tmp_dir!(), "situ-doc-lock-#{System.pid()}")
+      iex> {:ok, lock} = Situ.Store.FileLock.acquire(path)
+      iex> {:held, holder} = Situ.Store.FileLock.acquire(path)
+      iex> holder.os_pid == System.pid()
+      true
+      iex> :ok = Situ.Store.FileLock.release(lock)
+      iex> File.exists?(path)
+      false
   """
   @spec acquire(Path.t(), non_neg_integer()) ::
           {:ok, t()} | {:held, holder()} | {:error, Error.t()}

@@ -2,7 +2,8 @@ defmodule Situ.Store.Folder do
   @moduledoc false
   # Locates stores at root/name.NNNN, where the highest number is the newest version.
   alias Situ.Error
-  alias Situ.Store.{AtomicFile, NativeErrors, Formats, Native}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{AtomicFile, NativeErrors, Native}
 
   @index "index.situ"
 

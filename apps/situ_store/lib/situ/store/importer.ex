@@ -22,7 +22,8 @@ defmodule Situ.Store.Importer do
   wait for a seek.
   """
   alias Situ.{Clock, Error, Pipeline}
-  alias Situ.Store.{SchemaEvolution, Handle, Playhead, Query, Source, StreamInfo}
+  alias Situ.Recording
+  alias Situ.Store.{SchemaEvolution, Playhead, Query, Source, StreamInfo}
 
   @options [
     loop: [
@@ -66,7 +67,9 @@ defmodule Situ.Store.Importer do
   @doc false
   def open_recording(%Situ.Graph.Handle{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
-    store = if is_struct(path, Handle), do: path, else: Query.open!(path, verify: opts[:verify])
+
+    store =
+      if is_struct(path, Recording), do: path, else: Query.open!(path, verify: opts[:verify])
 
     %__MODULE__{
       store: store,

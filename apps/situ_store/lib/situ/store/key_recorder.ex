@@ -1,12 +1,8 @@
 defmodule Situ.Store.KeyRecorder do
-  @moduledoc """
-  The component of `Situ.Store.write/4` with `keys: true`. It collects the keys of a stream's maps.
-
-  The sorted keys are stored in the stream's metadata under `"keys"`, in addition to the `metadata:` map. A viewer can
-  then offer the keys (such as a line for each tracked person) without reading the recording. The keys are saved each
-  time their number has doubled and when the stream closes. If the writer was killed, the metadata contains the last
-  saved keys. Messages that are not maps are ignored.
-  """
+  @moduledoc false
+  # The component of `Situ.Store.write/4` with `keys: true`. It collects the keys of a stream's
+  # maps and ignores all other messages. The keys are saved each time their number has doubled and
+  # when the stream closes. If the writer was killed, the metadata contains the last saved keys.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],
@@ -19,7 +15,7 @@ defmodule Situ.Store.KeyRecorder do
   alias Situ.Store.{SharedWriter, Writer}
 
   @enforce_keys [:shared, :stream, :metadata]
-  defstruct [:shared, :stream, :metadata, keys: MapSet.new(), noted: 0]
+  defstruct [:shared, :stream, :metadata, keys: MapSet.new(), saved_count: 0]
 
   @impl true
   def init(opts) do
@@ -35,7 +31,9 @@ defmodule Situ.Store.KeyRecorder do
   def handle_message(:in, %{data: %{} = map}, _context, %{keys: keys} = state) do
     keys = map |> to_plain_map() |> Map.keys() |> Enum.reduce(keys, &MapSet.put(&2, &1))
     state = %{state | keys: keys}
-    {[], if(MapSet.size(keys) >= max(2 * state.noted, 1), do: save_keys(state), else: state)}
+
+    {[],
+     if(MapSet.size(keys) >= max(2 * state.saved_count, 1), do: save_keys(state), else: state)}
   end
 
   def handle_message(:in, _message, _context, state), do: {[], state}
@@ -52,14 +50,14 @@ defmodule Situ.Store.KeyRecorder do
   @impl true
   def describe(state), do: "records the keys of #{state.stream.name}"
 
-  defp save_keys(%{keys: keys, noted: noted} = state) do
-    if MapSet.size(keys) == noted do
+  defp save_keys(%{keys: keys, saved_count: saved_count} = state) do
+    if MapSet.size(keys) == saved_count do
       state
     else
       metadata = Map.put(state.metadata, "keys", Enum.sort(keys))
 
       case Writer.put_metadata(state.stream, metadata) do
-        :ok -> %{state | noted: MapSet.size(keys)}
+        :ok -> %{state | saved_count: MapSet.size(keys)}
         {:error, error} -> raise error
       end
     end

@@ -2,7 +2,8 @@ defmodule Situ.Store.Locator do
   @moduledoc false
   # Finds the files of a recording and the reader for their format.
   alias Situ.Error
-  alias Situ.Store.{Folder, Formats, NativeErrors, NativeFormat, Replacement}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Folder, NativeErrors, NativeFormat, Replacement}
 
   @doc "Returns the full path of a recording and its reader; `reader` overrides the reader for the format."
   @spec find_recording(Path.t(), module() | nil) ::
@@ -43,7 +44,7 @@ defmodule Situ.Store.Locator do
 
   defp find_reader(path) do
     with nil <- Formats.for_file(path) do
-      known = Formats.list_readers() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
+      known = Formats.list_formats() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
 
       {:error,
        Error.new(:unknown_format, "no reader for #{path}",

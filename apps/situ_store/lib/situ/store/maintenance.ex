@@ -1,12 +1,9 @@
 defmodule Situ.Store.Maintenance do
-  @moduledoc """
-  Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
-  """
+  @moduledoc false
+  # Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
   alias Situ.Error
-  alias Situ.Store.{NativeErrors, Folder, Handle, NativeFormat, Native, Query, Replacement}
-
-  @typedoc "A damaged position: the file, the byte offset, and a description of the damage."
-  @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
+  alias Situ.Recording
+  alias Situ.Store.{NativeErrors, Folder, NativeFormat, Native, Query, Replacement}
 
   @progress [type: {:fun, 2}, doc: "Called repeatedly as `fun.(done, total)`."]
   @verify_options [progress: @progress]
@@ -15,13 +12,14 @@ defmodule Situ.Store.Maintenance do
     progress: @progress
   ]
 
-  @doc """
-  Reads the complete store and verifies all checksums: `{:ok, %{chunks, damage}}`.
+  @spec verify_options() :: Situ.Options.schema()
+  def verify_options, do: @verify_options
 
-  #{Situ.Options.docs(@verify_options)}
-  """
+  @spec repair_options() :: Situ.Options.schema()
+  def repair_options, do: @repair_options
+
   @spec verify(Path.t(), keyword()) ::
-          {:ok, %{chunks: non_neg_integer(), damage: [damage()]}} | {:error, Error.t()}
+          {:ok, %{chunks: non_neg_integer(), damage: [Situ.Store.damage()]}} | {:error, Error.t()}
   def verify(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @verify_options),
          {:ok, store} <- Query.open(path),
@@ -35,24 +33,11 @@ defmodule Situ.Store.Maintenance do
   defp describe_damage(found),
     do: for({file, offset, why} <- found, do: %{file: file, offset: offset, why: why})
 
-  defp check_own_format(%Handle{module: NativeFormat}), do: :ok
+  defp check_own_format(%Recording{module: NativeFormat}), do: :ok
 
   defp check_own_format(store),
     do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
-  @doc """
-  Repairs a store that was not closed or is damaged: `{:ok, report}` with `kept`, `dropped`, `recovered`, `unconfirmed`,
-  `rebuilt?` and `damage`.
-
-  An intact store that was merely not closed is trimmed and marked as closed. All readable chunks are kept. Where the
-  index is damaged or lost, it is rebuilt from the data, using only chunks that are known to have been committed
-  (`recovered`). Damaged chunks are removed (`dropped`). If the whole index is lost, there is no evidence that the last
-  commit of a killed writer was acknowledged, so that commit is removed (`unconfirmed`). Data files are not rewritten,
-  except for damaged extent headers. The old index is kept as `index.situ.before-repair`, with a number appended if that
-  file exists.
-
-  #{Situ.Options.docs(@repair_options)}
-  """
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   def repair(path, opts \\ []) do
     path = Path.expand(path)
@@ -114,7 +99,6 @@ defmodule Situ.Store.Maintenance do
     end
   end
 
-  @doc "Deletes a store's files, and its folder if it contains nothing else. Fails while the store is being written."
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   def delete(path) do
     with {:ok, folder} <- resolve_folder(path),
@@ -122,7 +106,6 @@ defmodule Situ.Store.Maintenance do
          do: Folder.remove_store(folder)
   end
 
-  @doc "Renames a store (its folder, keeping the version number): `{:ok, new_path}`."
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename(path, name) do
     with {:ok, folder} <- resolve_folder(path),

@@ -1,10 +1,7 @@
 defmodule Situ.Store.MemoryStores do
-  @moduledoc """
-  Keeps stores in memory. A store consists of the same files as on disk, in the memory file system.
-
-  Any process on the machine can read them while this system is running. They are deleted after it has ended, and are
-  never written to disk.
-  """
+  @moduledoc false
+  # Keeps stores in memory: the same files as on disk, in the memory file system. They are deleted
+  # after this system has ended.
 
   alias Situ.{Error, TempFolder}
 

@@ -1,7 +1,8 @@
 defmodule Situ.Store.NativeFormat do
   @moduledoc false
-  # Implements the reader behaviour for Situ's own stores.
-  @behaviour Situ.Store.Reader
+  # Implements the behaviours of recordings for Situ's own stores.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Message}
   alias Situ.Store.CatalogCache
@@ -22,7 +23,7 @@ defmodule Situ.Store.NativeFormat do
 
   @read_bytes 4 * 1024 * 1024
 
-  # The largest possible difference between two times.
+  # The latest time, and the largest possible difference between two times.
   @longest 0x7FFFFFFFFFFFFFFF
 
   @impl true
@@ -80,7 +81,7 @@ defmodule Situ.Store.NativeFormat do
   end
 
   @impl true
-  def stream_named(%__MODULE__{} = state, name) do
+  def stream(%__MODULE__{} = state, name) do
     refresh_entries(state)
 
     case lookup_streams(state, name) do
@@ -127,8 +128,6 @@ defmodule Situ.Store.NativeFormat do
 
   defp store_info(state), do: CatalogCache.store_info(state.ref, state.path)
   defp lookup_streams(state, name), do: CatalogCache.lookup_streams(state.ref, state.path, name)
-
-  defp max_time, do: 9_223_372_036_854_775_807
 
   @impl true
   def seek(state, info, time) do
@@ -191,8 +190,8 @@ defmodule Situ.Store.NativeFormat do
 
   @doc false
   @spec clamp_time(Situ.Time.t() | :unbounded) :: Situ.Time.t()
-  def clamp_time(:unbounded), do: max_time()
-  def clamp_time(time), do: time |> max(-max_time()) |> min(max_time())
+  def clamp_time(:unbounded), do: @longest
+  def clamp_time(time), do: time |> max(-@longest) |> min(@longest)
 
   defp build_messages(list, id), do: Enum.map(list, &build_message(&1, id))
 
@@ -326,7 +325,7 @@ defmodule Situ.Store.NativeFormat do
     do: for(%{data: %_{}} = message <- messages, point <- Bins.message_points(message), do: point)
 
   @impl true
-  def await(state, known, pid, tag) do
+  def notify(state, known, pid, tag) do
     if Native.reader_await(state.ref, known, pid, tag),
       do: :ok,
       else:

@@ -3,14 +3,8 @@ defmodule Situ.Store.Query do
   # Reads open recordings of any format. `Situ.Store` is the public interface and has the documentation.
   alias Situ.{Error, Message, Options}
 
-  alias Situ.Store.{
-    SchemaEvolution,
-    NativeErrors,
-    Handle,
-    Locator,
-    NativeFormat,
-    StreamInfo
-  }
+  alias Situ.Recording
+  alias Situ.Store.{SchemaEvolution, NativeErrors, Locator, NativeFormat, StreamInfo}
 
   @open_options [
     verify: [
@@ -27,7 +21,7 @@ defmodule Situ.Store.Query do
     ],
     reader: [
       type: :module,
-      doc: "The `Situ.Store.Reader` to use, regardless of the file extension."
+      doc: "The `Situ.Recording.Format` to use, regardless of the file extension."
     ],
     reader_opts: [type: :keyword, default: [], doc: "Options of that reader."]
   ]
@@ -52,7 +46,7 @@ defmodule Situ.Store.Query do
       type: :any,
       doc:
         "The requested type: a `Situ.Type` that matches the recorded type, or a struct whose fields " <>
-          "may have changed since recording (`Situ.Store.SchemaEvolution`)."
+          "may have changed since recording."
     ],
     skip_damage: [
       type: :boolean,
@@ -86,12 +80,12 @@ defmodule Situ.Store.Query do
   @spec at_options() :: Options.schema()
   def at_options, do: @at_options
 
-  @spec open(Path.t(), keyword()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  @spec open(Path.t(), keyword()) :: {:ok, Recording.t()} | {:error, Error.t()}
   def open(path, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @open_options),
          {:ok, path, module} <- Locator.find_recording(path, opts[:reader]),
          {:ok, state} <- module.open(path, reader_opts(module, opts)) do
-      {:ok, %Handle{path: path, module: module, state: state}}
+      {:ok, %Recording{path: path, module: module, state: state}}
     end
   end
 
@@ -100,27 +94,27 @@ defmodule Situ.Store.Query do
 
   defp reader_opts(_module, opts), do: opts[:reader_opts]
 
-  @spec open!(Path.t(), keyword()) :: Handle.t()
+  @spec open!(Path.t(), keyword()) :: Recording.t()
   def open!(path, opts \\ []), do: unwrap!(open(path, opts))
 
-  @spec info(Handle.t()) :: map()
-  def info(%Handle{} = store), do: store.module.info(store.state)
+  @spec info(Recording.t()) :: map()
+  def info(%Recording{} = store), do: store.module.info(store.state)
 
-  @spec closed?(Handle.t()) :: boolean()
+  @spec closed?(Recording.t()) :: boolean()
   def closed?(store), do: info(store).closed?
 
-  @spec live?(Handle.t()) :: boolean()
+  @spec live?(Recording.t()) :: boolean()
   def live?(store), do: info(store).live?
 
-  @spec streams(Handle.t()) :: [StreamInfo.t()]
-  def streams(%Handle{} = store), do: store.module.streams(store.state)
+  @spec streams(Recording.t()) :: [StreamInfo.t()]
+  def streams(%Recording{} = store), do: store.module.streams(store.state)
 
-  @spec stream_info(Handle.t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
+  @spec stream_info(Recording.t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
   def stream_info(_store, %StreamInfo{} = info), do: {:ok, info}
 
   def stream_info(store, name) when is_binary(name) do
-    if function_exported?(store.module, :stream_named, 2),
-      do: store.module.stream_named(store.state, name),
+    if Recording.implements?(store, :stream, 2),
+      do: store.module.stream(store.state, name),
       else: find_by_name(streams(store), name, store)
   end
 
@@ -131,15 +125,15 @@ defmodule Situ.Store.Query do
     end
   end
 
-  @spec has_stream?(Handle.t(), String.t()) :: boolean()
+  @spec has_stream?(Recording.t(), String.t()) :: boolean()
   def has_stream?(store, name), do: match?({:ok, _}, stream_info(store, name))
 
-  @spec metadata(Handle.t(), name()) :: {:ok, term()} | {:error, Error.t()}
+  @spec metadata(Recording.t(), name()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(store, name) do
     with {:ok, info} <- stream_info(store, name), do: StreamInfo.metadata(info)
   end
 
-  @spec metadata(Handle.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
+  @spec metadata(Recording.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(store, name, type) do
     with {:ok, term} <- metadata(store, name) do
       if Situ.Type.valid_value?(type, term),
@@ -150,31 +144,39 @@ defmodule Situ.Store.Query do
     end
   end
 
-  @spec messages(Handle.t(), name(), keyword()) :: Enumerable.t()
-  def messages(store, name, opts \\ []),
-    do: in_batches(store, name, Options.validate!(opts, @message_options), @batch)
-
-  defp in_batches(store, name, opts, size) do
+  @spec messages(Recording.t(), name(), keyword()) :: Enumerable.t()
+  def messages(store, name, opts \\ []) do
+    opts = Options.validate!(opts, @message_options)
     info = unwrap!(stream_info(store, name))
-    type = if opts[:envelopes], do: nil, else: opts[:type]
-    upgrade = SchemaEvolution.build_upgrade!(info, type)
-    to = opts[:to] || :unbounded
+    read = batch_reader(store, info, opts)
 
     Stream.resource(
       fn -> first_ordinal(store, info, opts) end,
       fn ordinal ->
-        case read_batch(store, info, ordinal, to, size, opts) do
-          {:ok, [], _} -> {:halt, ordinal}
-          {:ok, messages, next} -> {upgrade.(messages), next}
-          {:error, error} -> raise error
+        case read.(ordinal, @batch) do
+          {[], _} -> {:halt, ordinal}
+          batch -> batch
         end
       end,
       fn _ -> :ok end
     )
   end
 
+  defp batch_reader(store, info, opts) do
+    type = if opts[:envelopes], do: nil, else: opts[:type]
+    upgrade = SchemaEvolution.build_upgrade!(info, type)
+    to = opts[:to] || :unbounded
+
+    fn ordinal, size ->
+      case read_batch(store, info, ordinal, to, size, opts) do
+        {:ok, messages, next} -> {upgrade.(messages), next}
+        {:error, error} -> raise error
+      end
+    end
+  end
+
   @doc "Returns the ordinal at which reading with these options begins."
-  @spec first_ordinal(Handle.t(), StreamInfo.t(), keyword()) :: non_neg_integer()
+  @spec first_ordinal(Recording.t(), StreamInfo.t(), keyword()) :: non_neg_integer()
   def first_ordinal(store, info, opts) do
     cond do
       index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
@@ -186,17 +188,28 @@ defmodule Situ.Store.Query do
   defp unwrap!({:ok, value}), do: value
   defp unwrap!({:error, error}), do: raise(error)
 
-  @spec read(Handle.t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
+  @spec read(Recording.t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
   def read(store, name, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @read_options) do
       {limit, opts} = Keyword.pop(opts, :limit)
-      {:ok, store |> in_batches(name, opts, min(limit, @batch)) |> Enum.take(limit)}
+      info = unwrap!(stream_info(store, name))
+      read = batch_reader(store, info, opts)
+      {:ok, read |> read_batches(first_ordinal(store, info, opts), limit) |> Enum.take(limit)}
     end
   rescue
     error in Error -> {:error, error}
   end
 
-  @spec at(Handle.t(), name(), integer(), keyword()) ::
+  defp read_batches(_read, _ordinal, limit) when limit <= 0, do: []
+
+  defp read_batches(read, ordinal, limit) do
+    case read.(ordinal, min(limit, @batch)) do
+      {[], _} -> []
+      {messages, next} -> messages ++ read_batches(read, next, limit - length(messages))
+    end
+  end
+
+  @spec at(Recording.t(), name(), integer(), keyword()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def at(store, name, index, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @at_options),
@@ -209,21 +222,22 @@ defmodule Situ.Store.Query do
   defp read_message(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
 
   defp read_message(store, info, ordinal, opts) do
-    with {:ok, messages, _} <-
-           read_batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
+    {to, opts} = Keyword.pop(opts, :to, :unbounded)
+
+    with {:ok, messages, _} <- read_batch(store, info, ordinal, to, 1, [exact: true] ++ opts),
          do: {:ok, List.first(messages)}
   end
 
-  @spec count(Handle.t(), name()) :: non_neg_integer()
+  @spec count(Recording.t(), name()) :: non_neg_integer()
   def count(store, %StreamInfo{} = info) do
-    if function_exported?(store.module, :count, 2),
+    if Recording.implements?(store, :count, 2),
       do: store.module.count(store.state, info),
       else: unwrap!(stream_info(store, info.name)).count
   end
 
   def count(store, name), do: unwrap!(stream_info(store, name)).count
 
-  @spec count(Handle.t(), name(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec count(Recording.t(), name(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def count(store, name, from, to) do
     with {:ok, first} <- ordinal(store, name, from),
@@ -231,21 +245,28 @@ defmodule Situ.Store.Query do
          do: {:ok, max(next - first, 0)}
   end
 
-  @spec ordinal(Handle.t(), name(), Situ.Time.t()) ::
+  @spec ordinal(Recording.t(), name(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def ordinal(store, name, time) do
     with {:ok, info} <- stream_info(store, name), do: seek_ordinal(store, info, time)
   end
 
-  @spec latest_at(Handle.t(), name(), Situ.Time.t()) ::
+  @spec latest_at(Recording.t(), name(), Situ.Time.t()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def latest_at(store, name, time) do
-    with {:ok, info} <- stream_info(store, name),
-         {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
-         do: read_message(store, info, ordinal - 1)
+    with {:ok, info} <- stream_info(store, name) do
+      if Recording.implements?(store, :latest_at, 3),
+        do: store.module.latest_at(store.state, info, time),
+        else: seek_latest(store, info, time)
+    end
   end
 
-  @spec first_at(Handle.t(), name(), Situ.Time.t()) ::
+  defp seek_latest(store, info, time) do
+    with {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
+         do: read_message(store, info, ordinal - 1, to: time)
+  end
+
+  @spec first_at(Recording.t(), name(), Situ.Time.t()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def first_at(store, name, time) do
     with {:ok, info} <- stream_info(store, name),
@@ -254,13 +275,13 @@ defmodule Situ.Store.Query do
   end
 
   @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
-  @spec seek_ordinal(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
+  @spec seek_ordinal(Recording.t(), StreamInfo.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def seek_ordinal(store, info, time), do: store.module.seek(store.state, info, time)
 
-  @doc "Reads about `limit` messages from an ordinal on, and returns the next ordinal; see `Situ.Store.Reader`."
+  @doc "Reads about `limit` messages from an ordinal on, and returns the next ordinal; see `Situ.Recording`."
   @spec read_batch(
-          Handle.t(),
+          Recording.t(),
           StreamInfo.t(),
           non_neg_integer(),
           Situ.Time.t() | :unbounded,
@@ -270,35 +291,35 @@ defmodule Situ.Store.Query do
   def read_batch(store, info, ordinal, to, limit, opts),
     do: store.module.read(store.state, info, ordinal, to, limit, opts)
 
-  @spec gaps(Handle.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
+  @spec gaps(Recording.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
   def gaps(store, name, least) do
-    if function_exported?(store.module, :gaps, 3),
+    if Recording.implements?(store, :gaps, 3),
       do: store.module.gaps(store.state, unwrap!(stream_info(store, name)), least),
       else: []
   end
 
-  @spec missing_files(Handle.t()) :: [String.t()]
+  @spec missing_files(Recording.t()) :: [String.t()]
   def missing_files(store) do
-    if function_exported?(store.module, :missing_files, 1),
+    if Recording.implements?(store, :missing_files, 1),
       do: store.module.missing_files(store.state),
       else: []
   end
 
-  @spec notify(Handle.t(), non_neg_integer(), non_neg_integer()) :: :ok
+  @spec notify(Recording.t(), non_neg_integer(), non_neg_integer()) :: :ok
   def notify(store, known \\ 0, tag \\ 0) do
-    if function_exported?(store.module, :await, 4) do
-      store.module.await(store.state, known, self(), tag)
+    if Recording.implements?(store, :notify, 4) do
+      store.module.notify(store.state, known, self(), tag)
     else
       send(self(), {:situ_store, tag, {:ended, known}})
       :ok
     end
   end
 
-  @spec interval(Handle.t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
-  def interval(%Handle{} = store), do: store |> streams() |> interval()
+  @spec interval(Recording.t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def interval(%Recording{} = store), do: store |> streams() |> interval()
   def interval(streams), do: time_span(streams, & &1.first, & &1.last)
 
-  @spec creation_interval(Handle.t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  @spec creation_interval(Recording.t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
   def creation_interval(store),
     do: store |> streams() |> time_span(& &1.first_creation, & &1.last_creation)
 

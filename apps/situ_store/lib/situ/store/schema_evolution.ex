@@ -1,10 +1,7 @@
 defmodule Situ.Store.SchemaEvolution do
-  @moduledoc """
-  Reads structs that have changed since they were recorded.
-
-  Every recorded field must still exist, and every new field must have a default (it must not be in `@enforce_keys`).
-  Old data then gets the defaults. Any other difference is reported as `:schema_mismatch` when the stream is opened.
-  """
+  @moduledoc false
+  # Reads structs that have changed since they were recorded, by the rules in the documentation of
+  # `Situ.Store.messages/3`.
   alias Situ.Error
   alias Situ.Store.StreamInfo
 

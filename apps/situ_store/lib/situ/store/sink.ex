@@ -1,11 +1,7 @@
 defmodule Situ.Store.Sink do
-  @moduledoc """
-  The component of `Situ.Store.write/4`: writes one stream of a pipeline into a store.
-
-  Messages are collected for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed together. With
-  durability `:each`, every delivery is committed and on disk before the next is processed. Committed messages survive
-  a kill of the process.
-  """
+  @moduledoc false
+  # The component of `Situ.Store.write/4`: collects messages of one stream of a pipeline and commits
+  # them together. Committed messages survive a kill of the process.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],
@@ -14,10 +10,10 @@ defmodule Situ.Store.Sink do
       stream: [type: :any, default: nil, doc: "The `Situ.Store.Writer.Stream`."],
       envelopes: [type: :boolean, default: false, doc: "Write only the envelopes."],
       eager: [type: :boolean, default: false, doc: "Commit every delivery immediately."],
-      pieces: [
+      rotation: [
         type: :any,
         default: nil,
-        doc: "`{pieces, cut, name, options}` of a segmented recording (`Situ.Store.Rotation`)."
+        doc: "`{rotation, cut, name, options}` of a segmented recording (`Situ.Store.Rotation`)."
       ]
     ]
 
@@ -33,8 +29,8 @@ defmodule Situ.Store.Sink do
     :stream,
     :envelopes,
     :eager,
-    :pieces,
-    :piece,
+    :rotation,
+    :segment,
     held: %{},
     pending: [],
     count: 0,
@@ -51,7 +47,7 @@ defmodule Situ.Store.Sink do
        stream: opts[:stream],
        envelopes: opts[:envelopes],
        eager: opts[:eager],
-       pieces: opts[:pieces]
+       rotation: opts[:rotation]
      }}
   end
 
@@ -60,7 +56,7 @@ defmodule Situ.Store.Sink do
     do: handle_messages(:in, [message], context, state)
 
   @impl true
-  def handle_messages(:in, messages, _context, %{pieces: {_, cut, _, _}} = state) do
+  def handle_messages(:in, messages, _context, %{rotation: {_, cut, _, _}} = state) do
     messages
     |> Enum.map(&{SplitPoint.segment_number(cut, &1.originating_time), &1})
     |> Enum.chunk_by(&elem(&1, 0))
@@ -69,7 +65,7 @@ defmodule Situ.Store.Sink do
 
       buffer_messages(
         part,
-        if(number == state.piece, do: state, else: enter_segment(flush_pending(state), number))
+        if(number == state.segment, do: state, else: enter_segment(flush_pending(state), number))
       )
     end)
   end
@@ -77,13 +73,13 @@ defmodule Situ.Store.Sink do
   def handle_messages(:in, messages, _context, state), do: buffer_messages(messages, state)
 
   # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
-  defp enter_segment(%{pieces: {pieces, _cut, name, opts}} = state, number) do
-    case Rotation.open_stream(pieces, number, name, opts) do
+  defp enter_segment(%{rotation: {rotation, _cut, name, opts}} = state, number) do
+    case Rotation.open_stream(rotation, number, name, opts) do
       {:ok, real, stream} ->
         # Late messages make the stream return to a previous segment, so keep the codecs and fields noted for it.
         stream = Map.get(state.held, real, stream)
         held = state.held |> Map.filter(fn {n, _} -> n >= real end) |> Map.put(real, stream)
-        %{state | piece: number, stream: stream, held: held}
+        %{state | segment: number, stream: stream, held: held}
 
       {:error, error} ->
         raise error
@@ -140,7 +136,7 @@ defmodule Situ.Store.Sink do
   end
 
   @impl true
-  def describe(%{pieces: {_, _, name, _}}), do: "writes #{name} in segments"
+  def describe(%{rotation: {_, _, name, _}}), do: "writes #{name} in segments"
   def describe(state), do: "writes #{state.stream.name} to #{state.shared.writer.path}"
 
   defp flush_pending(%{pending: []} = state), do: state
@@ -152,17 +148,17 @@ defmodule Situ.Store.Sink do
   end
 
   # If the segment was closed in the meantime, pending messages go into the oldest open segment.
-  defp finish_append(%{pieces: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
-    state = enter_segment(%{state | held: %{}}, state.piece)
+  defp finish_append(%{rotation: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
+    state = enter_segment(%{state | held: %{}}, state.segment)
     put_stream(state, unwrap!(append_pending(state)))
   end
 
   defp finish_append(state, result), do: put_stream(state, unwrap!(result))
 
-  defp put_stream(%{pieces: nil} = state, stream), do: {state, stream}
+  defp put_stream(%{rotation: nil} = state, stream), do: {state, stream}
 
-  defp put_stream(%{pieces: {pieces, cut, _, _}} = state, stream) do
-    Rotation.report_append(pieces, cut, state.piece, latest_time(state.pending))
+  defp put_stream(%{rotation: {rotation, cut, _, _}} = state, stream) do
+    Rotation.report_append(rotation, cut, state.segment, latest_time(state.pending))
 
     held =
       Map.new(state.held, fn {n, s} -> {n, if(s.writer == stream.writer, do: stream, else: s)} end)

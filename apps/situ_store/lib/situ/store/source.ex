@@ -1,11 +1,11 @@
 defmodule Situ.Store.Source do
-  @moduledoc """
-  The component of `Situ.Store.stream/3`: emits one stored stream as a source.
-
-  Messages are emitted on demand with their recorded envelopes, from the start of the replay to its end. With an
-  enforced clock, the pipeline delivers each message at its originating time. A store that is being written is followed
-  until its writer is done. `Situ.Store.Importer.seek/2` moves the position.
-  """
+  @moduledoc false
+  # The component of `Situ.Store.stream/3`: emits one stored stream as a source.
+  #
+  # Messages are emitted on demand with their recorded envelopes, from the start of the replay to
+  # its end. With an enforced clock, the pipeline delivers each message at its originating time. A
+  # store that is being written is followed until its writer is done. `Situ.Store.Importer.seek/2`
+  # moves the position.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],

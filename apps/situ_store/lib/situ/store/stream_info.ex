@@ -1,7 +1,14 @@
 defmodule Situ.Store.StreamInfo do
   @moduledoc """
-  Describes a stored stream. Times are in nanoseconds and sizes in bytes. The values are always exact, even while the
-  store is being written or after its writer was killed.
+  Describes a stored stream, as `Situ.Store.streams/1` and `Situ.Store.stream_info/2` return it. The values are always
+  exact, even while the store is being written or after its writer was killed.
+
+      iex> alias Situ.Store.StreamInfo
+      iex> info = %StreamInfo{id: 1, name: "Level", count: 5, first: 0, last: 2_000_000_000}
+      iex> {StreamInfo.message_rate(info), StreamInfo.duration(info), StreamInfo.closed?(info)}
+      {2.0, 2_000_000_000, false}
+
+  Times are in nanoseconds and sizes in bytes.
 
     * `type` is a `Situ.Type`; `:any` if the recorded type (`type_name`) names a module that this system does not have
     * `first`, `last`: originating times; `first_creation`, `last_creation`: creation times; `nil` without messages
@@ -9,6 +16,7 @@ defmodule Situ.Store.StreamInfo do
     * `latency_sum`: the sum of creation minus originating time over all messages
     * `closed`: the originating time at which the stream closed, or `nil`
     * `fields`: field names of the messages' struct, if the messages are structs stored as terms
+    * `extra`: facts that the recording's module adds for its own use
   """
   alias Situ.Error
   alias Situ.Store.TermCodec
@@ -36,7 +44,8 @@ defmodule Situ.Store.StreamInfo do
     latency_sum: 0,
     large?: false,
     compression: :none,
-    codecs: %{}
+    codecs: %{},
+    extra: %{}
   ]
 
   @type t :: %__MODULE__{}

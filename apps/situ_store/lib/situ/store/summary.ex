@@ -49,7 +49,8 @@ defmodule Situ.Store.Summary do
       :ok
   """
   alias Situ.{Error, Options}
-  alias Situ.Store.{Handle, Native, Query, StreamInfo}
+  alias Situ.Recording
+  alias Situ.Store.{Native, Query, StreamInfo}
   alias Situ.Store.Summary.Fold
 
   @enforce_keys [:width, :counts, :tracks]
@@ -84,7 +85,7 @@ defmodule Situ.Store.Summary do
   #{Options.docs(@options)}
   """
   @spec read(
-          Handle.t(),
+          Recording.t(),
           Query.name(),
           Situ.Time.t(),
           Situ.Time.t(),
@@ -101,10 +102,28 @@ defmodule Situ.Store.Summary do
     end
   end
 
-  defp read_tracks(store, info, from, to, level, changes) do
-    if function_exported?(store.module, :tracks, 6),
-      do: store.module.tracks(store.state, info, from, to, level, changes),
-      else: Fold.fold_tracks(store, info, from, to, level, changes)
+  @doc """
+  Returns the counts and tracks of `read/6` in bins of 2^level ns. Lists up to `changes` changes of a track
+  individually.
+  """
+  @spec read_tracks(
+          Recording.t(),
+          StreamInfo.t(),
+          Situ.Time.t(),
+          Situ.Time.t(),
+          level :: non_neg_integer(),
+          changes :: non_neg_integer()
+        ) ::
+          {:ok, [{Situ.Time.t(), pos_integer()}], [{term(), track()}]} | {:error, Error.t()}
+  def read_tracks(store, info, from, to, level, changes) do
+    with :none <- call_optional(store, :tracks, [info, from, to, level, changes]),
+         do: Fold.fold_tracks(store, info, from, to, level, changes)
+  end
+
+  defp call_optional(%{module: module, state: state} = store, callback, args) do
+    if Recording.implements?(store, callback, length(args) + 1),
+      do: apply(module, callback, [state | args]),
+      else: :none
   end
 
   @doc """
@@ -112,14 +131,12 @@ defmodule Situ.Store.Summary do
   `{start, min, max, last, count}`. Booleans are 0 and 1, and integers are returned as floats. The bins of audio are
   computed from its samples.
   """
-  @spec read_numbers(Handle.t(), Query.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec read_numbers(Recording.t(), Query.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [bin()]} | {:error, Error.t()}
   def read_numbers(store, name, from, to, pixels)
       when is_integer(from) and is_integer(to) and is_integer(pixels) and pixels > 0 do
-    with {:ok, %StreamInfo{} = info} <- Query.stream_info(store, name) do
-      if function_exported?(store.module, :summary, 5),
-        do: store.module.summary(store.state, info, from, to, pixels),
-        else: Fold.fold_numbers(store, info, from, to, Native.summary_level(from, to, pixels))
-    end
+    with {:ok, %StreamInfo{} = info} <- Query.stream_info(store, name),
+         :none <- call_optional(store, :summary, [info, from, to, pixels]),
+         do: Fold.fold_numbers(store, info, from, to, Native.summary_level(from, to, pixels))
   end
 end

@@ -5,10 +5,11 @@ defmodule Situ.Store.Transfer do
   # are copied as messages, and so are external files, unless their reader appends its messages itself.
   alias Situ.Error
 
+  alias Situ.Recording
+
   alias Situ.Store.{
     Codecs,
     NativeErrors,
-    Handle,
     NativeFormat,
     Native,
     Query,
@@ -17,20 +18,21 @@ defmodule Situ.Store.Transfer do
     Writer
   }
 
-  @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :told]
+  @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :report_progress]
   defstruct @enforce_keys
 
-  @type source :: {Handle.t(), StreamInfo.t()}
+  @type source :: {Recording.t(), StreamInfo.t()}
   @type t :: %__MODULE__{}
 
   @part_bytes 4 * 1024 * 1024
 
   @doc """
-  Creates the new stream, described by `info`, for the messages of `sources`. Calls `told.(n)` for every `n` messages.
+  Creates the new stream, described by `info`, for the messages of `sources`. Calls `report_progress.(n)` for every `n`
+  messages.
   """
   @spec open_stream(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
           {:ok, t()} | {:error, Error.t()}
-  def open_stream(writer, info, sources, opts, told) do
+  def open_stream(writer, info, sources, opts, report_progress) do
     record = %{
       type: stored_type(info, sources),
       opened: info.opened || Situ.Time.now(),
@@ -44,7 +46,7 @@ defmodule Situ.Store.Transfer do
         raw?: Enum.all?(sources, &raw_copy?/1),
         numbers: %{},
         skip_damage: Keyword.get(opts, :skip_damage, true),
-        told: told
+        report_progress: report_progress
       }
 
       write_catalog(transfer, Enum.map(sources, &elem(&1, 1)))
@@ -150,7 +152,7 @@ defmodule Situ.Store.Transfer do
         {:ok, transfer, ordinal}
 
       {:ok, {n, next}} ->
-        transfer.told.(n)
+        transfer.report_progress.(n)
         transfer_messages(transfer, source, next, to)
 
       {:error, reason} ->
@@ -159,15 +161,15 @@ defmodule Situ.Store.Transfer do
   end
 
   @doc "Returns whether `transfer_together/2` supports this store."
-  @spec one_pass?(Handle.t()) :: boolean()
-  def one_pass?(store), do: function_exported?(store.module, :append_streams, 4)
+  @spec one_pass?(Recording.t()) :: boolean()
+  def one_pass?(store), do: Recording.implements?(store, :append_streams, 4)
 
   @doc "Copies the messages in an interval of several streams of one store."
   @spec transfer_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::
           :ok | {:error, Error.t()}
-  def transfer_together([{%{told: told}, {store, _}} | _] = taken, interval) do
+  def transfer_together([{%{report_progress: report_progress}, {store, _}} | _] = taken, interval) do
     targets = for {transfer, {_, info}} <- taken, do: {info, transfer.stream}
-    store.module.append_streams(store.state, targets, interval, told)
+    store.module.append_streams(store.state, targets, interval, report_progress)
   end
 
   defp next_ordinal(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
@@ -194,7 +196,7 @@ defmodule Situ.Store.Transfer do
   @spec append_messages(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}
   def append_messages(transfer, messages) do
     with {:ok, stream} <- Writer.append(transfer.stream, messages) do
-      transfer.told.(length(messages))
+      transfer.report_progress.(length(messages))
       {:ok, %{transfer | stream: stream}}
     end
   end

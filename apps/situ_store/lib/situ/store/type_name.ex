@@ -1,9 +1,21 @@
 defmodule Situ.Store.TypeName do
-  @moduledoc """
-  Converts types to strings for a store's catalog, and back without creating atoms or running code.
+  @moduledoc false
+  # Converts types to strings for a store's catalog, and back without creating atoms or running
+  # code.
+  alias Situ.KnownModules
+
+  @doc """
+  Formats a type.
 
       iex> Situ.Store.TypeName.format_type({:list, :float})
       "{:list, :float}"
+  """
+  @spec format_type(Situ.Type.t()) :: String.t()
+  def format_type(type), do: inspect(type, limit: :infinity)
+
+  @doc """
+  Parses a type without running code or creating atoms.
+
       iex> Situ.Store.TypeName.parse_type("{:list, :float}")
       {:ok, {:list, :float}}
       iex> Situ.Store.TypeName.parse_type("Never.Heard.Of")
@@ -11,11 +23,6 @@ defmodule Situ.Store.TypeName do
       iex> Situ.Store.TypeName.parse_type("File.rm_rf!(:x)")
       :error
   """
-  alias Situ.KnownModules
-
-  @spec format_type(Situ.Type.t()) :: String.t()
-  def format_type(type), do: inspect(type, limit: :infinity)
-
   @spec parse_type(String.t()) :: {:ok, Situ.Type.t()} | :error
   def parse_type(text) when is_binary(text) and byte_size(text) < 10_000 do
     # Names stay strings during parsing, because the parts of an alias may not exist as atoms even if the module does.

@@ -1,47 +1,4 @@
 defmodule Situ.Store.Writer do
-  @options [
-    versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
-    durability: [
-      type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
-      default: :none,
-      doc:
-        "When commits are synced to disk: `:none`, `{:interval, ms}` or `:each`. It decides which data a power " <>
-          "failure can lose (see `Situ.Store.Writer`). A killed process never loses committed data."
-    ],
-    first_extent: [
-      type: :pos_integer,
-      default: 4 * 1024 * 1024,
-      doc: "The size of the first extent in bytes."
-    ],
-    max_extent: [
-      type: :pos_integer,
-      default: 256 * 1024 * 1024,
-      doc: "The size of the largest extent in bytes."
-    ],
-    mode: [
-      type: :non_neg_integer,
-      doc:
-        "The permissions of the recording, as for `File.chmod/2` (`0o600`, `0o644`, ...). Its files get this " <>
-          "mode, and its folder gets the same mode plus search permission for readers. Default: `0o640` within " <>
-          "the process's file mode mask (`umask`)."
-    ],
-    volatile: [
-      type: :boolean,
-      default: false,
-      doc: "Record that the store is in memory (`Situ.Store.MemoryStores`)."
-    ]
-  ]
-  @stream_options [
-    type: [type: :any, default: :any, doc: "The `Situ.Type` of the messages."],
-    compression: [
-      type: {:in, [:none, :lz4, :zstd]},
-      default: :none,
-      doc: "The compression of payloads."
-    ],
-    large: [type: :boolean, default: false, doc: "Store every message in the large extents."],
-    metadata: [type: :any, doc: "Supplemental metadata: any plain term."]
-  ]
-
   @moduledoc """
   Writes a store without a pipeline. `Situ.Store.write/4` uses this interface.
 
@@ -71,15 +28,54 @@ defmodule Situ.Store.Writer do
 
   When `append/2` returns, the messages are committed. Readers in any process see them, and a kill of this process does
   not lose them. On an error, none of the messages is written and the writer is unchanged.
-
-  ## Options of `create/3`
-
-  #{Situ.Options.docs(@options)}
-
-  ## Options of `stream/3`
-
-  #{Situ.Options.docs(@stream_options)}
   """
+
+  @options [
+    versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
+    durability: [
+      type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
+      default: :none,
+      doc:
+        "When commits are synced to disk: `:none`, `{:interval, ms}` or `:each`. It decides which data a power " <>
+          "failure can lose (see `Situ.Store.Writer`). A killed process never loses committed data."
+    ],
+    first_extent: [
+      type: :pos_integer,
+      default: 4 * 1024 * 1024,
+      doc: "The size of the first extent in bytes."
+    ],
+    max_extent: [
+      type: :pos_integer,
+      default: 256 * 1024 * 1024,
+      doc: "The size of the largest extent in bytes."
+    ],
+    mode: [
+      type: :non_neg_integer,
+      doc:
+        "The permissions of the recording, as for `File.chmod/2` (`0o600`, `0o644`, ...). Its files get this " <>
+          "mode, and its folder gets the same mode plus search permission for readers. Default: `0o640` within " <>
+          "the process's file mode mask (`umask`)."
+    ],
+    volatile: [
+      type: :boolean,
+      default: false,
+      doc: "Record that the store is in memory. `Situ.Store.create/4` sets it."
+    ]
+  ]
+  @stream_options [
+    type: [type: :any, default: :any, doc: "The `Situ.Type` of the messages."],
+    compression: [
+      type: {:in, [:none, :lz4, :zstd]},
+      default: :none,
+      doc: "The compression of payloads."
+    ],
+    large: [type: :boolean, default: false, doc: "Store every message in the large extents."],
+    metadata: [type: :any, doc: "Supplemental metadata: any plain term."]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @options, "Options of `create/3`")
+  Situ.Options.add_to_moduledoc(__MODULE__, @stream_options, "Options of `stream/3`")
+
   # Compression has no dictionary for small messages. Messages of 141 bytes take 125 bytes each
   # with zstd alone, 54 with a dictionary of 16 KiB, and 35 in a chunk of 500. A chunk and its
   # index entry take 176 bytes, so a dictionary saves little where chunks are small and nothing
@@ -102,7 +98,8 @@ defmodule Situ.Store.Writer do
   @type t :: %__MODULE__{ref: reference(), path: Path.t(), name: String.t()}
 
   defmodule Stream do
-    @moduledoc "A stream that is being written. Use the stream returned by `append/2` for the next call."
+    @moduledoc false
+    # A stream that is being written. Use the stream returned by `append/2` for the next call.
     @enforce_keys [:writer, :id, :name]
     defstruct [:writer, :id, :name, codecs: %{}, fields: nil]
     @type t :: %__MODULE__{}
@@ -113,7 +110,7 @@ defmodule Situ.Store.Writer do
   @doc false
   def stream_options, do: @stream_options
 
-  @doc "Creates a store `name` in `root` and opens it for writing."
+  @doc "Creates a store `name` in `root` and opens it for writing. The module documentation lists the options."
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
@@ -149,7 +146,7 @@ defmodule Situ.Store.Writer do
   defp native_durability({:interval, ms}), do: ms
   defp native_durability(other), do: other
 
-  @doc "Adds a stream. Stream names are unique in a store."
+  @doc "Adds a stream. Stream names are unique in a store. The module documentation lists the options."
   @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
     with {:ok, opts} <- Options.validate(opts, @stream_options),
@@ -209,8 +206,8 @@ defmodule Situ.Store.Writer do
   defp kind_of(_), do: ":any"
 
   @doc """
-  Appends and commits all messages, or none of them. Originating times must increase. `creation_time` and `sequence_id`
-  are kept.
+  Appends and commits all messages, or none of them. The next call takes the returned stream. Originating times must
+  increase. `creation_time` and `sequence_id` are kept.
   """
   @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append(stream, []), do: {:ok, stream}

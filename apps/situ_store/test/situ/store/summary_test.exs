@@ -4,6 +4,7 @@ defmodule Situ.Store.SummaryTest do
   alias Situ.Store.Summary
   alias Situ.Store.Test.Record
 
+  doctest Situ.Store.StreamInfo
   doctest Situ.Store.Summary
 
   @moduletag :tmp_dir

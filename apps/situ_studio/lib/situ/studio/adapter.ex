@@ -20,8 +20,8 @@ defmodule Situ.Studio.Adapter do
 
       Situ.Studio.start_link(adapters: [Loudness])
 
-  The stream's menu then contains "Line (Loudness)". An adapter must be stateless: only displayed messages are
-  adapted, in any order.
+  The stream's menu then contains "Line (Loudness)". `Situ.Studio.Visualizer` lists the shapes. An adapter must be
+  stateless: only displayed messages are adapted, in any order.
   """
   alias Situ.Studio.{StreamInfo, Visualizer}
 
@@ -47,9 +47,9 @@ defmodule Situ.Studio.Adapter do
       iex> defmodule Doubled do
       ...>   def about, do: %Situ.Studio.Adapter{id: "doubled", title: "Doubled", from: [:text], to: :boolean}
       ...> end
-      iex> visualizers = Situ.Studio.Visualizers.all()
-      iex> for v <- Situ.Studio.Adapter.adapted_visualizers(Doubled, visualizers), do: {v.id, v.title, v.shapes}
-      [{"states@doubled", "States (Doubled)", [:text]}, {"line@doubled", "Line (Doubled)", [:text]}]
+      iex> line = %Situ.Studio.Visualizer{id: "line", title: "Line", panel: :plot, shapes: [:signal, :boolean]}
+      iex> for v <- Situ.Studio.Adapter.adapted_visualizers(Doubled, [line]), do: {v.id, v.title, v.shapes}
+      [{"line@doubled", "Line (Doubled)", [:text]}]
   """
   @spec adapted_visualizers(module(), [Visualizer.t()]) :: [Visualizer.t()]
   def adapted_visualizers(module, visualizers) do

@@ -1,16 +1,16 @@
 defmodule Situ.Studio.Alerts do
-  @moduledoc """
-  Raises the alerts of one studio. Once a second its rules (`Situ.Studio.Alerts.Rule`, saved with the settings) are
-  evaluated for its running pipelines. An alert is raised when its rule becomes true and cleared when the rule is no
-  longer true; both times are kept until the rule or the pipeline is removed.
-  """
+  @moduledoc false
+  # Raises the alerts of one studio. Once a second its rules (`Situ.Studio.Alerts.Rule`, saved
+  # with the settings) are evaluated for its running pipelines. An alert is raised when its rule
+  # becomes true and cleared when the rule is no longer true; both times are kept until the rule
+  # or the pipeline is removed.
   use GenServer
 
   alias Situ.Diagnostics.Snapshot
   alias Situ.Expression.Operators
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.PipelineView.{Feed, Stats}
-  alias Situ.Studio.{Catalog, Settings, Source}
+  alias Situ.Studio.{Catalog, Settings, StreamReader}
 
   @tick_ms 1_000
 
@@ -148,8 +148,8 @@ defmodule Situ.Studio.Alerts do
   end
 
   defp latest_value(source, stream) do
-    with {:ok, extent} <- Source.call(source, :extent, []),
-         {:ok, message} <- Source.call(source, :latest_at, [stream, extent.to]) do
+    with {:ok, extent} <- StreamReader.fetch_extent(source),
+         {:ok, message} <- StreamReader.latest_at(source, stream, extent.to) do
       Operators.to_plain(message.data)
     else
       _ -> nil

@@ -1,11 +1,21 @@
 defmodule Situ.Studio.Annotations do
-  @moduledoc """
-  Edits the annotations of one recording on behalf of a page: opens them, returns their state for display, and applies
-  the page's requests.
+  @moduledoc false
+  # Edits the annotations of one recording on behalf of a page: opens them, returns their state
+  # for display, and applies the page's requests.
+  #
+  # Each stream has its own store next to the recording (`Situ.Studio.Annotations.Files`); the
+  # recording itself is never modified. Every edit is written to disk before it is acknowledged
+  # (`Situ.Annotation.Editor`), so a crash of the page or the server loses nothing.
+  alias Situ.{Annotation, Error}
+  alias Situ.Annotation.{Edit, Editor, Layer, Schema}
+  alias Situ.Studio.Annotations.{Proposals, Request, SchemaForm, Files}
+  alias Situ.Studio.Catalog
 
-  Each stream has its own store next to the recording (`Situ.Studio.Annotations.Files`); the recording itself is never
-  modified. Every edit is written to disk before it is acknowledged (`Situ.Annotation.Editor`), so a crash of the page
-  or the server loses nothing.
+  @most 20_000
+
+  @doc """
+  Parses a schema of one attribute from text: one value per line, followed by its key and its
+  color.
 
       iex> {:ok, schema} = Situ.Studio.Annotations.parse_schema("Speech", "speaks 1 #1f77b4\\nlaughs 2")
       iex> for v <- hd(schema.attributes).values, do: {v.value, v.key, v.fill}
@@ -14,14 +24,6 @@ defmodule Situ.Studio.Annotations do
       iex> error.code
       :bad_schema
   """
-  alias Situ.{Annotation, Error}
-  alias Situ.Annotation.{Edit, Editor, Layer, Schema}
-  alias Situ.Studio.Annotations.{Proposals, Request, SchemaForm, Files}
-  alias Situ.Studio.Catalog
-
-  @most 20_000
-
-  @doc "Parses a schema of one attribute from text: one value per line, followed by its key and its color."
   @spec parse_schema(String.t(), String.t()) :: {:ok, Schema.t()} | {:error, Error.t()}
   def parse_schema(name, text) do
     values =

@@ -1,16 +1,21 @@
 defmodule Situ.Studio.AudioSamples do
-  @moduledoc """
-  Reads an interval of an audio stream as 32-bit float samples of one or all channels. Samples are positioned by their
-  timestamps; gaps become silence.
-  """
+  @moduledoc false
+  # Reads an interval of an audio stream as 32-bit float samples of one or all channels. Samples
+  # are positioned by their timestamps; gaps become silence.
   alias Situ.{AudioBuffer, AudioFormat, Error, AudioOps}
-  alias Situ.Studio.Source
+  alias Situ.Studio.StreamReader
 
   @max_span 10_000_000_000
   @buffers 20_000
 
   @doc "Returns start time, rate and samples between `from` and `to` (at most 10 s); channel 0 is the first."
-  @spec channel_samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t(), non_neg_integer()) ::
+  @spec channel_samples(
+          Situ.Recording.t(),
+          String.t(),
+          Situ.Time.t(),
+          Situ.Time.t(),
+          non_neg_integer()
+        ) ::
           {:ok, {Situ.Time.t(), pos_integer(), binary()}} | {:error, Error.t()}
   def channel_samples(source, stream, from, to, channel) do
     with {:ok, {start, rate, _, samples}} <- read_samples(source, stream, {from, to}, channel),
@@ -18,7 +23,7 @@ defmodule Situ.Studio.AudioSamples do
   end
 
   @doc "Returns start time, rate, number of channels and the interleaved samples of all channels."
-  @spec interleaved_samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec interleaved_samples(Situ.Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, {Situ.Time.t(), pos_integer(), pos_integer(), binary()}} | {:error, Error.t()}
   def interleaved_samples(source, stream, from, to),
     do: read_samples(source, stream, {from, to}, :all)
@@ -28,9 +33,9 @@ defmodule Situ.Studio.AudioSamples do
 
   defp read_samples(source, stream, {from, to}, channel) do
     # A buffer's timestamp is its end, so a buffer that ends after `to` may contain the last samples.
-    with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
+    with {:ok, messages, _} <- StreamReader.read_messages(source, stream, from, to, @buffers) do
       later =
-        case Source.call(source, :next_after, [stream, to]) do
+        case StreamReader.next_after(source, stream, to) do
           {:ok, message} -> [message]
           _ -> []
         end

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.BatchRuns do
-  @moduledoc """
-  Manages the batch runs of a studio. A run continues after the page that started it is closed, and every page of the
-  dataset shows it. A run that was interrupted by a server crash is offered again
-  (`Situ.Studio.BatchRuns.ResumableRuns`) and processes only the remaining sessions (`Situ.Dataset.Derivation`).
-  """
+  @moduledoc false
+  # Manages the batch runs of a studio. A run continues after the page that started it is closed,
+  # and every page of the dataset shows it. A run that was interrupted by a server crash is
+  # offered again (`Situ.Studio.BatchRuns.ResumableRuns`) and processes only the remaining
+  # sessions (`Situ.Dataset.derive/3`).
   use GenServer
 
   alias Situ.Dataset.{Derivation, Server, Task}

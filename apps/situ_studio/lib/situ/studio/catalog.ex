@@ -1,29 +1,30 @@
 defmodule Situ.Studio.Catalog do
-  @moduledoc """
-  Lists the sources of one studio: the recordings in its folder, the configured sources, and the pipelines that it
-  watches. Open sources are shared by all pages; a recording that was opened stays open until it is deleted.
-
-  A task scans the folder on request and at most every two seconds, so that even in a folder of thousands of files
-  only the first request waits. A recording can be opened by name without a scan.
-  """
+  @moduledoc false
+  # Lists the sources of one studio: the recordings in its folder, the configured sources, and the
+  # pipelines that it watches. Open sources are shared by all pages; a recording that was opened
+  # stays open until it is deleted.
+  #
+  # A task scans the folder on request and at most every two seconds, so that even in a folder of
+  # thousands of files only the first request waits. A recording can be opened by name without a
+  # scan.
   use GenServer
 
   alias Situ.Dataset.Session
-  alias Situ.Store.Formats
+  alias Situ.Recording.Formats
   alias Situ.{Dataset, Error}
   alias Situ.Studio.Datasets.DatasetRef
-  alias Situ.Studio.{Layouts, Source, Stores}
+  alias Situ.Studio.{Layouts, Stores, StreamReader, Recordings}
 
   # The maximum age of the list of recordings.
   @fresh_ms 2_000
 
   defmodule Item do
-    @moduledoc """
-    Represents an item of the catalog; its `id` is used in addresses. The kind `:elsewhere` is a recording on another
-    machine with the address `path` (`situ://...`), and `:node` is a recording on a cluster node (`NODE/NAME`):
-    nothing is written next to either. A session of a dataset lists its recordings in `parts`; `dataset` is the id of
-    the dataset that an item belongs to.
-    """
+    @moduledoc false
+    # Represents an item of the catalog; its `id` is used in addresses. The kind `:elsewhere` is a
+    # recording on another machine with the address `path` (`situ://...`), and `:node` is a
+    # recording on a cluster node (`NODE/NAME`): nothing is written next to either. A session of a
+    # dataset lists its recordings in `parts`; `dataset` is the id of the dataset that an item
+    # belongs to.
     @enforce_keys [:id, :title, :kind]
     defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
 
@@ -83,7 +84,7 @@ defmodule Situ.Studio.Catalog do
   def invalidate_recordings(id), do: GenServer.call(via(id), :look_again, 30_000)
 
   @doc "Opens an item by its id. An id that is not a string is not found."
-  @spec open_source(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
+  @spec open_source(id(), term()) :: {:ok, Item.t(), Situ.Recording.t()} | {:error, Error.t()}
   def open_source(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:open, item_id}, 60_000)
 
@@ -133,7 +134,7 @@ defmodule Situ.Studio.Catalog do
   def handle_call({:open, id}, _from, state) do
     with {:ok, item} <- resolve_item(state, id),
          {:ok, source, state} <- fetch_source(state, item) do
-      {:reply, {:ok, item, Source.DerivedStreams.wrap(source)}, state}
+      {:reply, {:ok, item, Recordings.DerivedStreams.wrap(source)}, state}
     else
       {:error, error} -> {:reply, {:error, error}, state}
     end
@@ -276,12 +277,12 @@ defmodule Situ.Studio.Catalog do
     given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
 
     running =
-      for {id, _} <- Situ.Studio.Source.Pipeline.list_running(state.pipelines),
+      for {id, _} <- Recordings.Pipeline.list_running(state.pipelines),
           do: %Item{id: id, title: id, kind: :pipeline, live: true}
 
     # A pipeline that was open when it ended stays listed, because the data that was received is still available.
     ended =
-      for {{id, _, _}, {Situ.Studio.Source.Pipeline, _}} <- state.open,
+      for {{id, _, _}, %{module: Recordings.Pipeline}} <- state.open,
           not Enum.any?(running, &(&1.id == id)),
           do: %Item{id: id, title: id, kind: :pipeline, live: false}
 
@@ -296,7 +297,7 @@ defmodule Situ.Studio.Catalog do
 
   defp fetch_source(state, %Item{} = item) do
     with {:ok, source} <- Map.fetch(state.open, cache_key(item)),
-         {:ok, _} <- Source.call(source, :extent, []) do
+         {:ok, _} <- StreamReader.fetch_extent(source) do
       {:ok, source, state}
     else
       _ -> open_item(state, item)
@@ -307,27 +308,27 @@ defmodule Situ.Studio.Catalog do
   defp cache_key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
 
   defp open_item(state, %Item{kind: :session} = item) do
-    with {:ok, source} <- Source.Session.open(item.parts) do
+    with {:ok, source} <- Recordings.Session.open(item.parts) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: :node} = item) do
     with {:ok, address, opts} <- state.nodes.(item.id),
-         {:ok, source} <- Situ.Studio.Source.Store.open(address, opts) do
+         {:ok, source} <- Recordings.Store.open(address, opts) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
-    with {:ok, source} <- Situ.Studio.Source.Store.open(item.path) do
+    with {:ok, source} <- Recordings.Store.open(item.path) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: :pipeline} = item) do
     with {:ok, source} <-
-           Situ.Studio.Source.Pipeline.open(state.pipelines, item.id, watch_supervisor(state.id)) do
+           Recordings.Pipeline.open(state.pipelines, item.id, watch_supervisor(state.id)) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end

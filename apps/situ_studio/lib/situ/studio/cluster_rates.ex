@@ -1,7 +1,12 @@
 defmodule Situ.Studio.ClusterRates do
-  @moduledoc """
-  Rates between two snapshots of a cluster: messages per second of each stream and bytes per second of each link.
-  Pure.
+  @moduledoc false
+  # Rates between two snapshots of a cluster: messages per second of each stream and bytes per
+  # second of each link. Pure.
+  alias Situ.Cluster.Overview
+
+  @doc """
+  Returns messages per second by deployment, part and stream, for streams that are in both
+  snapshots.
 
       iex> alias Situ.Studio.ClusterRates
       iex> part = %{deployment: "Hall", part: "Lips", streams: [%{name: "Mouth", messages: 100, readers: []}]}
@@ -13,9 +18,6 @@ defmodule Situ.Studio.ClusterRates do
       iex> ClusterRates.stream_rates(nil, now)
       %{}
   """
-  alias Situ.Cluster.Overview
-
-  @doc "Returns messages per second by deployment, part and stream, for streams that are in both snapshots."
   @spec stream_rates(Overview.t() | nil, Overview.t()) :: %{
           {String.t(), String.t(), String.t()} => float()
         }

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Comparison do
-  @moduledoc """
-  Compares two recordings on one time axis. The second is shifted so that the beginnings, or an event in each,
-  coincide. In an address, `with` names the second recording and `offset` is the shift in ns.
-  """
+  @moduledoc false
+  # Compares two recordings on one time axis. The second is shifted so that the beginnings, or an
+  # event in each, coincide. In an address, `with` names the second recording and `offset` is the
+  # shift in ns.
   alias Situ.Error
-  alias Situ.Studio.{Catalog, Layout, Source, Int64}
-  alias Situ.Studio.Source.{Compared, DerivedStreams}
+  alias Situ.Studio.{Catalog, Layout, Int64, Recordings, StreamReader}
+  alias Situ.Studio.Recordings.DerivedStreams
 
   @enforce_keys [:id, :title, :offset, :first, :second]
   defstruct [:id, :title, :offset, :first, :second]
@@ -15,24 +15,27 @@ defmodule Situ.Studio.Comparison do
           id: String.t(),
           title: String.t(),
           offset: Situ.Time.duration(),
-          first: Source.extent(),
-          second: Source.extent()
+          first: StreamReader.extent(),
+          second: StreamReader.extent()
         }
 
   @doc "Opens an item, together with the item that `params` compares it with, if any."
   @spec open_item(Catalog.id(), term(), map()) ::
-          {:ok, Catalog.Item.t(), Source.t(), t() | nil} | {:error, Error.t()}
+          {:ok, Catalog.Item.t(), Situ.Recording.t(), t() | nil} | {:error, Error.t()}
   def open_item(studio, id, %{"with" => other} = params) when is_binary(other) and other != "" do
-    with {:ok, item, {DerivedStreams, %{source: first}}} <- Catalog.open_source(studio, id),
-         {:ok, compared, {DerivedStreams, %{source: second}}} <-
+    with {:ok, item, %{state: %DerivedStreams{recording: first}}} <-
+           Catalog.open_source(studio, id),
+         {:ok, compared, %{state: %DerivedStreams{recording: second}}} <-
            Catalog.open_source(studio, other),
-         {:ok, a} <- Source.call(first, :extent, []),
-         {:ok, b} <- Source.call(second, :extent, []) do
+         {:ok, a} <- StreamReader.fetch_extent(first),
+         {:ok, b} <- StreamReader.fetch_extent(second) do
       offset =
         case Int64.parse(params["offset"]) do
           {:ok, offset} -> offset
           :error -> a.from - b.from
         end
+
+      both = Recordings.Comparison.combine_recordings(first, second, offset)
 
       told = %__MODULE__{
         id: other,
@@ -42,7 +45,7 @@ defmodule Situ.Studio.Comparison do
         second: b
       }
 
-      {:ok, item, DerivedStreams.wrap(Compared.combine_sources(first, second, offset)), told}
+      {:ok, item, DerivedStreams.wrap(both), told}
     end
   end
 
@@ -50,10 +53,13 @@ defmodule Situ.Studio.Comparison do
     with {:ok, item, source} <- Catalog.open_source(studio, id), do: {:ok, item, source, nil}
   end
 
-  @doc "Changes the time offset of the compared source; other sources are returned unchanged."
-  @spec set_offset(Source.t(), Situ.Time.duration()) :: Source.t()
-  def set_offset({DerivedStreams, %{source: {Compared, beside}}}, offset),
-    do: DerivedStreams.wrap({Compared, %{beside | offset: offset}})
+  @doc "Changes the time offset of a comparison; other recordings are returned unchanged."
+  @spec set_offset(Situ.Recording.t(), Situ.Time.duration()) :: Situ.Recording.t()
+  def set_offset(%{state: %{recording: %{state: %Recordings.Comparison{} = both}}}, offset),
+    do:
+      DerivedStreams.wrap(
+        Recordings.Comparison.combine_recordings(both.first, both.second, offset)
+      )
 
   def set_offset(source, _offset), do: source
 
@@ -102,7 +108,7 @@ defmodule Situ.Studio.Comparison do
   end
 
   defp compared_visualizations(vis, names) do
-    name = Compared.compared_name(vis.stream)
+    name = Recordings.Comparison.compared_name(vis.stream)
 
     if name in names,
       do: [%{vis | stream: name, props: Map.delete(vis.props, "color")}],

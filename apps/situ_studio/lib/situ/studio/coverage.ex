@@ -1,7 +1,19 @@
 defmodule Situ.Studio.Coverage do
-  @moduledoc """
-  Finds streams that begin noticeably later or end noticeably earlier than their recording, such as a camera that was
-  switched on late or a microphone that failed. Pure.
+  @moduledoc false
+  # Finds streams that begin noticeably later or end noticeably earlier than their recording, such
+  # as a camera that was switched on late or a microphone that failed. Pure.
+  alias Situ.Studio.{StreamInfo, StreamReader}
+
+  # Shorter differences are ignored, as are differences of a few periods, which the stream's own rate explains.
+  @part 0.01
+  @periods 3
+
+  @typedoc "Times in ns as strings, the format that the page reads."
+  @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
+
+  @doc """
+  Returns the late and early times by stream; empty for live sources, whose streams have not ended
+  yet.
 
       iex> stream = fn name, first, last ->
       ...>   %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99}
@@ -13,17 +25,7 @@ defmodule Situ.Studio.Coverage do
       iex> Situ.Studio.Coverage.find_partial_streams([rare], %{from: 0, to: 1_000, live: false})
       %{}
   """
-  alias Situ.Studio.{Source, StreamInfo}
-
-  # Shorter differences are ignored, as are differences of a few periods, which the stream's own rate explains.
-  @part 0.01
-  @periods 3
-
-  @typedoc "Times in ns as strings, the format that the page reads."
-  @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
-
-  @doc "Returns the late and early times by stream; empty for live sources, whose streams have not ended yet."
-  @spec find_partial_streams([StreamInfo.t()], Source.extent() | map()) :: t()
+  @spec find_partial_streams([StreamInfo.t()], StreamReader.extent() | map()) :: t()
   def find_partial_streams(_, %{live: true}), do: %{}
 
   def find_partial_streams(streams, %{from: from, to: to}) do

@@ -1,22 +1,21 @@
 defmodule Situ.Studio.DataSession do
-  @moduledoc """
-  Handles the data requests of one page as pure functions; the socket only transports bytes.
-
-  The page sends one JSON request at a time and receives one binary reply (`Situ.Studio.Frame`) to each, so that the
-  amount of data in flight is bounded by the page's own pace:
-
-      {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
-       "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
-       "series": [[1, FROM, TO, BIN]], "instant": [2]}
-
-  `at` is the cursor, `series` lists windows in ns (as strings) with bins of BIN ns, and `instant` lists the channels
-  that show the message at the cursor. If `live` is true, the newest time replaces `at`. With `snap`, the cursor moves
-  to the nearest message of that stream. `offset` shifts the second of two compared recordings
-  (`Situ.Studio.Comparison`).
-  """
+  @moduledoc false
+  # Handles the data requests of one page as pure functions; the socket only transports bytes.
+  #
+  # The page sends one JSON request at a time and receives one binary reply (`Situ.Studio.Frame`)
+  # to each, so that the amount of data in flight is bounded by the page's own pace:
+  #
+  #     {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
+  #      "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
+  #      "series": [[1, FROM, TO, BIN]], "instant": [2]}
+  #
+  # `at` is the cursor, `series` lists windows in ns (as strings) with bins of BIN ns, and
+  # `instant` lists the channels that show the message at the cursor. If `live` is true, the
+  # newest time replaces `at`. With `snap`, the cursor moves to the nearest message of that
+  # stream. `offset` shifts the second of two compared recordings (`Situ.Studio.Comparison`).
   # See docs/adr/0080-the-page-pulls-its-data.md.
   alias Situ.{Error, Studio}
-  alias Situ.Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, Int64}
+  alias Situ.Studio.{Comparison, Draw, Frame, Visualizer, Visualizers, Int64, StreamReader}
 
   # A stream in a plot uses two channels: one for its window, and one for its value at the cursor.
   @max_channels 512
@@ -35,16 +34,16 @@ defmodule Situ.Studio.DataSession do
   ]
 
   @type t :: %__MODULE__{
-          source: Source.t(),
+          source: Situ.Recording.t(),
           visualizers: [Visualizer.given()],
           channels: %{
             optional(Frame.channel()) => {Visualizer.spec() | {:error, String.t()}, term()}
           },
-          extent: Source.extent()
+          extent: StreamReader.extent()
         }
 
   @doc "Creates a session for `source`; `visualizers` are the studio's additions to the built-in ones."
-  @spec new(Source.t(), [Visualizer.given()]) :: t()
+  @spec new(Situ.Recording.t(), [Visualizer.given()]) :: t()
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "Returns the reply to one request. After `{:error, error}`, which rejects malformed input, close the socket."
@@ -100,7 +99,7 @@ defmodule Situ.Studio.DataSession do
 
   # A source that disappeared keeps its extent, so that the page does not move.
   defp refresh_extent(session) do
-    case Source.call(session.source, :extent, []) do
+    case StreamReader.fetch_extent(session.source) do
       {:ok, extent} -> {:there, %{session | extent: extent}}
       {:error, %{code: :replaced}} -> {:replaced, mark_ended(session)}
       {:error, _} -> {:gone, mark_ended(session)}
@@ -112,7 +111,7 @@ defmodule Situ.Studio.DataSession do
   # A page requests only windows with new data, but needs all streams that it shows to be captured.
   defp request_shown_streams(%{extent: %{live: true}, channels: channels} = session) do
     streams = for {_, {%{stream: stream}, _}} <- channels, uniq: true, do: stream
-    Source.request_streams(session.source, streams)
+    StreamReader.request_streams(session.source, streams)
     session
   end
 
@@ -161,7 +160,7 @@ defmodule Situ.Studio.DataSession do
       end
 
     with stream when is_binary(stream) <- request["snap"],
-         {:ok, message} <- Source.fetch_nearest(session.source, stream, time) do
+         {:ok, message} <- StreamReader.fetch_nearest(session.source, stream, time) do
       message.originating_time
     else
       _ -> time

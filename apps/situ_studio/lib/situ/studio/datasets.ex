@@ -1,9 +1,8 @@
 defmodule Situ.Studio.Datasets do
-  @moduledoc """
-  Keeps the datasets that are open in a studio. Each has one process (`Situ.Dataset.Server`), through which all pages
-  and batch runs edit it. The file is authoritative: an edit is applied to its current content, so that changes made
-  by hand or on the command line are not lost.
-  """
+  @moduledoc false
+  # Keeps the datasets that are open in a studio. Each has one process (`Situ.Dataset.Server`),
+  # through which all pages and batch runs edit it. The file is authoritative: an edit is applied
+  # to its current content, so that changes made by hand or on the command line are not lost.
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Server, Session}
   alias Situ.Studio.Catalog

@@ -1,14 +1,14 @@
 defmodule Situ.Studio.Draw do
-  @moduledoc """
-  Draws the frame of a page's channel, a window or the message at the cursor, with the channel's visualizer.
-  """
+  @moduledoc false
+  # Draws the frame of a page's channel, a window or the message at the cursor, with the channel's
+  # visualizer.
   alias Situ.Studio.Plugins.Sandbox
-  alias Situ.Studio.Source.WithAdapter
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Recordings.Adapted
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer, StreamReader}
 
   @doc "Returns the frame of the window `from..to` with bins of `bin` nanoseconds."
   @spec draw_window(
-          Source.t(),
+          Situ.Recording.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Draw do
   def draw_window(source, channel, %{viz: viz} = spec, from, to, bin) do
     work = fn ->
       source
-      |> WithAdapter.with_adapter(viz.adapter)
+      |> Adapted.wrap(viz.adapter)
       |> window_frame(channel, spec, from, to, bin)
       |> flatten_frame()
     end
@@ -53,7 +53,13 @@ defmodule Situ.Studio.Draw do
   end
 
   @doc "Returns the frame of the message at the cursor; `last` is the state that this channel returned last."
-  @spec draw_instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
+  @spec draw_instant(
+          Situ.Recording.t(),
+          Frame.channel(),
+          Visualizer.spec(),
+          Situ.Time.t(),
+          term()
+        ) ::
           {Frame.t(), last :: term()}
   def draw_instant(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, time, last),
     do: instant_frame(source, channel, spec, time, last)
@@ -62,7 +68,7 @@ defmodule Situ.Studio.Draw do
     work = fn ->
       {frame, last} =
         source
-        |> WithAdapter.with_adapter(viz.adapter)
+        |> Adapted.wrap(viz.adapter)
         |> instant_frame(channel, spec, time, last)
 
       {flatten_frame(frame), last}
@@ -127,7 +133,7 @@ defmodule Situ.Studio.Draw do
 
   # Returns the last message at or before the cursor, or the nearest message within the page's `past` and `future`.
   defp cursor_message(source, stream, time, props) do
-    before = Source.call(source, :latest_at, [stream, time])
+    before = StreamReader.latest_at(source, stream, time)
 
     case {seconds_to_ns(props["past"], :infinity), seconds_to_ns(props["future"], 0)} do
       {:infinity, 0} ->
@@ -141,7 +147,7 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  defp next_message(source, stream, time), do: Source.call(source, :next_after, [stream, time])
+  defp next_message(source, stream, time), do: StreamReader.next_after(source, stream, time)
 
   defp seconds_to_ns(seconds, _) when is_number(seconds) and seconds >= 0,
     do: round(seconds * 1.0e9)

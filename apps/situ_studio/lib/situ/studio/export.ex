@@ -1,14 +1,6 @@
 defmodule Situ.Studio.Export do
-  @moduledoc """
-  Exports an interval of a recording, with all or some streams, as a new recording next to it.
-
-      iex> {:error, error} = Situ.Studio.Export.new("../../etc", 0, 10, :all)
-      iex> error.code
-      :bad_name
-      iex> {:ok, export} = Situ.Studio.Export.new(" talk 2 ", 0, 10, ["Mic"])
-      iex> {export.name, Situ.Studio.Export.duration(export)}
-      {"talk 2", 10}
-  """
+  @moduledoc false
+  # Exports an interval of a recording, with all or some streams, as a new recording next to it.
   alias Situ.Error
   alias Situ.Studio.Catalog.Item
 
@@ -25,7 +17,16 @@ defmodule Situ.Studio.Export do
   # Valid on every file system and without a path separator.
   @name ~r/\A[\p{L}\p{N}][\p{L}\p{N} ._-]{0,59}\z/u
 
-  @doc "Validates user input and builds an export. Times are in ns and inclusive."
+  @doc """
+  Validates user input and builds an export. Times are in ns and inclusive.
+
+      iex> {:error, error} = Situ.Studio.Export.new("../../etc", 0, 10, :all)
+      iex> error.code
+      :bad_name
+      iex> {:ok, export} = Situ.Studio.Export.new(" talk 2 ", 0, 10, ["Mic"])
+      iex> {export.name, Situ.Studio.Export.duration(export)}
+      {"talk 2", 10}
+  """
   @spec new(String.t(), Situ.Time.t(), Situ.Time.t(), :all | [String.t()]) ::
           {:ok, t()} | {:error, Error.t()}
   def new(name, from, to, streams) do

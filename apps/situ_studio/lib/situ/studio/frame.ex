@@ -24,12 +24,28 @@ defmodule Situ.Studio.Frame do
   | 8 error | an error message |
   | 9 pcm | interleaved 32-bit float samples; the channel count follows from the payload size and the number of rows (audio frames) |
   | 10 lines | for each row: the size of its name and the number of points (32 bits each), the name padded to 8, and columns as in a series; a gap is NaN |
-  | 11 scene | 3D objects, see `Situ.Studio.Scene.pack/2` |
+  | 11 scene | 3D objects: the size of a JSON text (32 bits, then 32 zero bits), the text, padded to 8, and numbers |
   | 12 sounds | audio chunks of equal length, one per row: their times relative to the base (64-bit floats), then 32-bit float samples |
 
   Header of an image:
 
   #{Situ.Studio.FrameSchema.layout_table(:image)}
+
+  The JSON text of a scene is `{"items": [...], "problems": [...]}`. An item has a `kind`, a `count` of elements, and
+  `at`, an object that gives the offset and the size of each kind of numbers after the text. `names` contains the names
+  that the pointer shows, one per element. Units are metres, with x forward, y left and z up.
+
+  | kind | an item contains | numbers |
+  |---|---|---|
+  | `points` | a point cloud | `position` 3 floats, optionally `color` 3 bytes, `value` 1 float |
+  | `lines` | lines, or arrows if `arrow` is true | `position` 6 floats, optionally `color` 3 bytes |
+  | `boxes` | boxes | `matrix` 16 floats in column-major order, of a cube with edges of 1 |
+  | `meshes` | one mesh | `position` 3 floats, `index` 3 32-bit integers |
+  | `texts` | text that faces the viewer | `position` 3 floats |
+  | `quads` | flat surfaces, optionally with an image | `corner` 12 floats, clockwise from the top left |
+  | `frusta` | camera frusta | `corner` 15 floats: the apex, and the corners at 1 m |
+  | `graphs` | nodes and their edges | `position` 3 floats, `edge` 2 32-bit integers, optionally `confidence` 1 byte |
+  | `voxels` | cubes of one size | `position` 3 floats, optionally `value` 1 float |
 
       iex> frame = Situ.Studio.Frame.no_message(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.encode_reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
@@ -69,7 +85,10 @@ defmodule Situ.Studio.Frame do
     [head | frames]
   end
 
-  @doc "Encodes a signal: `Situ.Codec` points and gaps in time order. With `raw?`, each point is one message."
+  @doc """
+  Encodes a signal: points `{time, min, max, last, count}` in time order. A gap has `nil` as `min`, `max` and `last`.
+  With `raw?`, each point is one message.
+  """
   @spec series(channel(), [Bins.point() | Bins.gap()], boolean(),
           sampled: boolean(),
           together: boolean()
@@ -93,7 +112,9 @@ defmodule Situ.Studio.Frame do
           more: non_neg_integer()
         ) :: t()
   def lines(channel, lines, raw?, opts \\ []) do
-    base = lines |> Enum.map(fn {_, points} -> first_time(points) end) |> Enum.min(fn -> 0 end)
+    # An empty line has no time. Relative times are exact only near the base.
+    times = for {_name, [_ | _] = points} <- lines, do: first_time(points)
+    base = Enum.min(times, fn -> 0 end)
 
     payload =
       for {name, points} <- lines do
@@ -161,7 +182,10 @@ defmodule Situ.Studio.Frame do
     build_frame(:marks, channel, payload, length(rows), base, flag_bits(raw?, []))
   end
 
-  @doc "Encodes an image, see `Situ.Studio.Draw.BrowserImage`."
+  @doc """
+  Encodes an image `{pixels, width, height, data, unit}`. `pixels` is `:jpeg`, `:png`, `:rgb`, `:rgba`, `:bgr`, `:bgra`,
+  `:gray8` or `:gray16`. In a depth image, a value of 1 is `unit` micrometres.
+  """
   @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.BrowserImage.t()) :: t()
   def image(channel, time, {pixels, width, height, data, unit}) do
     code = pixel_code(pixels)
@@ -189,15 +213,15 @@ defmodule Situ.Studio.Frame do
 
   @doc "Encodes audio chunks of one channel and equal length: `{time, 32-bit float samples}`."
   @spec audio_chunks(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
-  def audio_chunks(channel, pieces, rate) do
-    base = first_time(pieces)
+  def audio_chunks(channel, chunks, rate) do
+    base = first_time(chunks)
 
     payload = [
-      for({t, _} <- pieces, into: <<>>, do: <<t - base::little-float-64>>),
-      for({_, samples} <- pieces, do: samples)
+      for({t, _} <- chunks, into: <<>>, do: <<t - base::little-float-64>>),
+      for({_, samples} <- chunks, do: samples)
     ]
 
-    build_frame(:sounds, channel, payload, length(pieces), base, 0, rate)
+    build_frame(:sounds, channel, payload, length(chunks), base, 0, rate)
   end
 
   @doc "Encodes the absence of a message at this time."

@@ -1,18 +1,4 @@
 defmodule Situ.Studio.Headset do
-  @schema [
-    page: [
-      type: :string,
-      default: "headset",
-      doc: "The page's name; its address in the studio is `/headset?name=NAME`."
-    ],
-    buffer: [
-      type: :pos_integer,
-      default: 200,
-      doc:
-        "The number of samples whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
-    ]
-  ]
-
   @moduledoc """
   Reads a headset through a page of the studio, opened in the headset's own browser (WebXR).
 
@@ -28,7 +14,7 @@ defmodule Situ.Studio.Headset do
   | `:left`, `:right` | a tracked hand: `Situ.Skeleton` of 26 joints with the `id` `:left` or `:right` |
   | `:gaze` | the gaze direction, `Situ.Ray3`, if the headset reports it |
   | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), on every change |
-  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.parse_plane/1`, on every change |
+  | `:planes` | floors, walls and tables, on every change: maps with a `label`, a `polygon` of points and the `Situ.Rectangle3` around it |
   | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
   Axes are x forward, y left, z up, in meters; the origin is on the floor, where the session started. The x axis of
@@ -38,11 +24,24 @@ defmodule Situ.Studio.Headset do
   Times are from the browser, corrected by the clock offset, which is measured with short round trips. A slow pipeline
   slows the page down: the page sends the next sample (the head pose and everything that belongs to it) only when the
   pipeline has capacity, and drops the samples in between.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    page: [
+      type: :string,
+      default: "headset",
+      doc: "The page's name; its address in the studio is `/headset?name=NAME`."
+    ],
+    buffer: [
+      type: :pos_integer,
+      default: 200,
+      doc:
+        "The number of samples whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
+    ]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
+
   alias Situ.Studio.Headset.Packet
   alias Situ.Studio.Sensor.PageSource
 

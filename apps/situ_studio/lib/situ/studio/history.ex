@@ -6,20 +6,45 @@ defmodule Situ.Studio.History do
 
       iex> history = Situ.Studio.History.new(seconds: 60)
       iex> Situ.Studio.History.put(history, "level", %Situ.Message{data: 1.5, originating_time: 10}, 8)
-      iex> {:ok, message} = Situ.Studio.Source.History.latest_at(history, "level", 11)
+      iex> recording = Situ.Studio.Recordings.History.wrap(history)
+      iex> {:ok, message} = Situ.Store.latest_at(recording, "level", 11)
       iex> message.data
       1.5
   """
+  # The messages of a stream are in the order of their times, and numbered in this order. The second table finds the
+  # time of a number.
+  alias Situ.{Error, Message}
+  alias Situ.Studio.Gap
 
-  @enforce_keys [:messages, :streams, :max_age, :max_bytes]
-  defstruct [:messages, :streams, :max_age, :max_bytes, live: true]
+  @enforce_keys [:messages, :ordinals, :streams, :max_age, :max_bytes]
+  defstruct [:messages, :ordinals, :streams, :max_age, :max_bytes, live: true]
+
+  # This time is earlier than any other.
+  @before_all -0x8000000000000000
+
+  # One select reads many messages faster than single lookups, but it passes over all messages of the stream.
+  @many 1_000
+  @lookup_cost 10
+  @most_selected 1_000_000
 
   @type t :: %__MODULE__{
           messages: :ets.table(),
+          ordinals: :ets.table(),
           streams: :ets.table(),
           max_age: Situ.Time.duration(),
           max_bytes: pos_integer(),
           live: boolean()
+        }
+
+  @typedoc "The figures of a stream: `total` bytes were received, and `kept` messages remain."
+  @type stream :: %{
+          name: String.t(),
+          type: Situ.Type.t(),
+          count: non_neg_integer(),
+          first: Situ.Time.t() | nil,
+          last: Situ.Time.t() | nil,
+          total: non_neg_integer(),
+          kept: non_neg_integer()
         }
 
   @doc """
@@ -30,6 +55,7 @@ defmodule Situ.Studio.History do
   def new(opts \\ []) do
     %__MODULE__{
       messages: :ets.new(__MODULE__, [:ordered_set, :public, read_concurrency: true]),
+      ordinals: :ets.new(__MODULE__, [:set, :public, read_concurrency: true]),
       streams: :ets.new(__MODULE__, [:set, :public, read_concurrency: true]),
       max_age: Situ.Time.s(opts[:seconds] || 120),
       max_bytes: (opts[:megabytes] || 64) * 1_000_000,
@@ -45,19 +71,50 @@ defmodule Situ.Studio.History do
   end
 
   @doc "Appends a message of size `bytes`, and drops messages that exceed the limits."
-  @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
-  def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
+  @spec put(t(), String.t(), Message.t(), non_neg_integer()) :: :ok
+  def put(%__MODULE__{} = history, name, %Message{originating_time: time} = message, bytes) do
     open_stream(history, name, :any)
-    key = {name, message.originating_time}
-    known? = known_message?(:ets.lookup(history.messages, key))
-    :ets.insert(history.messages, {key, message, bytes})
-    if not known?, do: count_message(history, name, message.originating_time, bytes)
+
+    # A pipeline that resumes from a checkpoint repeats messages; they are counted once and do not lower the last time.
+    case :ets.lookup(history.messages, {name, time}) do
+      [{key, known, _, ordinal}] ->
+        :ets.insert(history.messages, {key, message, bytes, ordinal})
+        if match?(%Gap{}, known.data), do: count_message(history, name, time, bytes)
+
+      [] ->
+        insert_message(history, name, message, bytes)
+        count_message(history, name, time, bytes)
+    end
+
     :ok
   end
 
-  # A pipeline that resumes from a checkpoint repeats messages; they are counted once and do not lower the last time.
-  defp known_message?([{_, %{data: %Situ.Studio.Gap{}}, _}]), do: false
-  defp known_message?(rows), do: rows != []
+  defp insert_message(%{messages: messages} = history, name, message, bytes) do
+    key = {name, message.originating_time}
+    next = :ets.update_counter(history.ordinals, name, {2, 1}, {name, 0})
+    ordinal = renumber_later(history, name, :ets.next(messages, key), next - 1)
+    :ets.insert(history.ordinals, {{name, ordinal}, message.originating_time})
+    :ets.insert(messages, {key, message, bytes, ordinal})
+  end
+
+  # Makes room for a message that is not the last one: a resumed pipeline may fill an earlier gap. Returns its number.
+  defp renumber_later(%{messages: messages} = history, name, {name, time} = key, next) do
+    found = :ets.match(messages, {key, :_, :_, :"$1"})
+    following = renumber_later(history, name, :ets.next(messages, key), next)
+
+    case found do
+      [[ordinal]] ->
+        :ets.insert(history.ordinals, {{name, ordinal + 1}, time})
+        :ets.update_element(messages, key, {4, ordinal + 1})
+        ordinal
+
+      # The message has just expired.
+      [] ->
+        following
+    end
+  end
+
+  defp renumber_later(_history, _name, _end_of_stream, next), do: next
 
   defp count_message(history, name, time, bytes) do
     [{_, type, count, held, first, last, total, kept}] = :ets.lookup(history.streams, name)
@@ -77,23 +134,27 @@ defmodule Situ.Studio.History do
 
   @doc """
   Marks the start of a gap after the message at `last`: the stream was not captured until its next message. The gap is
-  not counted; its data is a `Situ.Studio.Gap`.
+  not counted, and visualizers draw nothing in it.
   """
   @spec mark_gap(t(), String.t(), Situ.Time.t() | nil) :: :ok
   def mark_gap(%__MODULE__{}, _name, nil), do: :ok
 
   def mark_gap(%__MODULE__{} = history, name, last) do
-    hole = %Situ.Message{data: %Situ.Studio.Gap{}, originating_time: last + 1}
-    :ets.insert_new(history.messages, {{name, last + 1}, hole, 0})
+    gap = %Message{data: %Gap{}, originating_time: last + 1}
+
+    if not :ets.member(history.messages, {name, last + 1}),
+      do: insert_message(history, name, gap, 0)
+
     :ok
   end
 
   defp drop_old(history, {name, type, count, held, first, last, total, kept} = row) do
     if held > history.max_bytes or last - first > history.max_age do
       case :ets.lookup(history.messages, {name, first}) do
-        [{key, _, bytes}] ->
+        [{key, _, bytes, ordinal}] ->
           next = :ets.next(history.messages, key)
           :ets.delete(history.messages, key)
+          :ets.delete(history.ordinals, {name, ordinal})
 
           case next do
             {^name, time} ->
@@ -110,6 +171,118 @@ defmodule Situ.Studio.History do
       row
     end
   end
+
+  @doc "Lists the streams. Raises the error `:gone` if the process that owns the history has ended."
+  @spec list_streams(t()) :: [stream()]
+  def list_streams(%__MODULE__{streams: streams}) do
+    streams |> :ets.tab2list() |> Enum.map(&stream_figures/1)
+  rescue
+    ArgumentError -> raise gone_error()
+  end
+
+  @doc "Returns a stream, or `:none` if it is unknown. Raises the error `:gone`."
+  @spec fetch_stream(t(), String.t()) :: {:ok, stream()} | :none
+  def fetch_stream(%__MODULE__{streams: streams}, name) do
+    case :ets.lookup(streams, name) do
+      [row] -> {:ok, stream_figures(row)}
+      [] -> :none
+    end
+  rescue
+    ArgumentError -> raise gone_error()
+  end
+
+  defp stream_figures({name, type, count, _held, first, last, total, kept}) do
+    figures = %{count: count, first: first, last: last, total: total, kept: kept}
+    Map.merge(figures, %{name: name, type: type})
+  end
+
+  @doc "Returns the number of the first message at or after `time`, or the next number. Raises the error `:gone`."
+  @spec find_ordinal(t(), String.t(), Situ.Time.t()) :: non_neg_integer()
+  def find_ordinal(%__MODULE__{messages: messages} = history, name, time) do
+    with {^name, _} = key <- :ets.next(messages, {name, time - 1}),
+         [{_, _, _, ordinal}] <- :ets.lookup(messages, key) do
+      ordinal
+    else
+      # The message has just expired.
+      [] -> find_ordinal(history, name, time)
+      _end_of_stream -> next_ordinal(history, name)
+    end
+  rescue
+    ArgumentError -> raise gone_error()
+  end
+
+  defp next_ordinal(%{ordinals: ordinals}, name) do
+    case :ets.lookup(ordinals, name) do
+      [{_, next}] -> next
+      [] -> 0
+    end
+  end
+
+  @doc """
+  Reads about `limit` messages at or before `to` from a number on, and returns them with the next number. Raises the
+  error `:gone`.
+  """
+  @spec read_messages(
+          t(),
+          String.t(),
+          non_neg_integer(),
+          Situ.Time.t() | :unbounded,
+          pos_integer()
+        ) :: {[Message.t()], non_neg_integer()}
+  def read_messages(%__MODULE__{messages: messages} = history, name, ordinal, to, limit) do
+    key = first_key(history, name, ordinal)
+
+    if select?(history, key, {name, ordinal, to}, limit) do
+      select_rows(messages, key, to)
+    else
+      collect_rows(messages, key, {name, to}, limit)
+    end
+    |> Enum.map_reduce(ordinal, fn {_, message, _, ordinal}, _ -> {message, ordinal + 1} end)
+  rescue
+    ArgumentError -> raise gone_error()
+  end
+
+  defp first_key(%{messages: messages} = history, name, ordinal) do
+    case :ets.lookup(history.ordinals, {name, ordinal}) do
+      [{_, time}] ->
+        {name, time}
+
+      # The message has expired, or does not exist yet.
+      [] ->
+        if ordinal < next_ordinal(history, name), do: :ets.next(messages, {name, @before_all})
+    end
+  end
+
+  defp select?(history, {_, _}, {name, ordinal, to}, limit) when limit >= @many do
+    stop =
+      if to == :unbounded,
+        do: next_ordinal(history, name),
+        else: find_ordinal(history, name, to + 1)
+
+    (stop - ordinal) * @lookup_cost > :ets.info(history.messages, :size)
+  end
+
+  defp select?(_history, _key, _window, _limit), do: false
+
+  # The atom `:unbounded` sorts after all numbers.
+  defp select_rows(messages, {name, from}, to) do
+    guards = [{:>=, :"$1", from}, {:"=<", :"$1", to}]
+
+    case :ets.select(messages, [{{{name, :"$1"}, :_, :_, :_}, guards, [:"$_"]}], @most_selected) do
+      {rows, _continuation} -> rows
+      :"$end_of_table" -> []
+    end
+  end
+
+  defp collect_rows(messages, {name, time} = key, {name, to} = stop, limit)
+       when limit > 0 and time <= to do
+    next = :ets.next(messages, key)
+    :ets.lookup(messages, key) ++ collect_rows(messages, next, stop, limit - 1)
+  end
+
+  defp collect_rows(_messages, _end_of_stream, _stop, _limit), do: []
+
+  defp gone_error, do: Error.new(:gone, "the pipeline no longer exists")
 
   @doc "Estimates the size of a term in bytes cheaply: the byte size of binaries, the size in words of other terms."
   @spec estimate_size(term()) :: non_neg_integer()

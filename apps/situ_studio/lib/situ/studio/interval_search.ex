@@ -1,12 +1,8 @@
 defmodule Situ.Studio.IntervalSearch do
-  @moduledoc """
-  Implements "Find the times where": evaluates an expression over the streams of a page and returns intervals
-  (`Situ.Query`). The intervals become proposed annotations, which the user accepts or rejects.
-
-      iex> {:error, error} = Situ.Studio.IntervalSearch.run_query([{"Room", "/nowhere/room.0000"}], "Level >")
-      iex> error.code
-      :bad_expression
-  """
+  @moduledoc false
+  # Implements "Find the times where": evaluates an expression over the streams of a page and
+  # returns intervals (`Situ.Query`). The intervals become proposed annotations, which the user
+  # accepts or rejects.
   alias Situ.Dataset.{OpenSession, Partition, Session}
   alias Situ.{Error, Query}
   alias Situ.Studio.Catalog.Item
@@ -23,7 +19,14 @@ defmodule Situ.Studio.IntervalSearch do
 
   def searchable_parts(_), do: []
 
-  @doc "Returns the intervals in which the expression is true, up to 1,000; `truncated?` is true if there are more."
+  @doc """
+  Returns the intervals in which the expression is true, up to 1,000; `truncated?` is true if
+  there are more.
+
+      iex> {:error, error} = Situ.Studio.IntervalSearch.run_query([{"Room", "/nowhere/room.0000"}], "Level >")
+      iex> error.code
+      :bad_expression
+  """
   @spec run_query([{String.t(), Path.t()}], String.t()) ::
           {:ok, Query.found()} | {:error, Error.t()}
   def run_query(parts, text) do

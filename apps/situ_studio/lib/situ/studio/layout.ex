@@ -1,19 +1,13 @@
 defmodule Situ.Studio.Layout do
-  @moduledoc """
-  Describes the layout of a page: rows from top to bottom, each with one panel on the time axis or several cells at
-  the cursor. A layout is pure data with a JSON form (`Situ.Studio.Layout.Json`), so it can be saved to a file or
-  written by hand.
-
-      iex> layout = Situ.Studio.Layout.new("mine")
-      iex> {:ok, layout, id} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
-      iex> {:ok, again} = layout |> Situ.Studio.Layout.Json.to_json() |> Situ.Studio.Layout.Json.parse_json()
-      iex> {again == layout, id, hd(layout.rows).panel}
-      {true, "p1", :plot}
-  """
+  @moduledoc false
+  # Describes the layout of a page: rows from top to bottom, each with one panel on the time axis
+  # or several cells at the cursor. A layout is pure data with a JSON form
+  # (`Situ.Studio.Layout.Json`), so it can be saved to a file or written by hand.
   alias Situ.Error
 
   defmodule Visualization do
-    @moduledoc "Represents a stream with a visualizer; `path` selects a part of its messages."
+    @moduledoc false
+    # Represents a stream with a visualizer; `path` selects a part of its messages.
     @enforce_keys [:viz, :stream]
     defstruct [:viz, :stream, path: "", props: %{}]
 
@@ -26,11 +20,10 @@ defmodule Situ.Studio.Layout do
   end
 
   defmodule Panel do
-    @moduledoc """
-    Represents a panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With `axis: :own`, each
-    line of a plot is scaled to its own minimum and maximum within the view. `threshold` covers the values below or
-    above a limit, so that the other values stand out.
-    """
+    @moduledoc false
+    # Represents a panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With
+    # `axis: :own`, each line of a plot is scaled to its own minimum and maximum within the view.
+    # `threshold` covers the values below or above a limit, so that the other values stand out.
     @enforce_keys [:id, :panel]
     defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil, threshold: nil]
 
@@ -98,7 +91,15 @@ defmodule Situ.Studio.Layout do
   @spec size_limits() :: {pos_integer(), pos_integer()}
   def size_limits, do: {@max_panels, @max_vis}
 
-  @doc "Creates an empty layout."
+  @doc """
+  Creates an empty layout.
+
+      iex> layout = Situ.Studio.Layout.new("mine")
+      iex> {:ok, layout, id} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
+      iex> {:ok, again} = layout |> Situ.Studio.Layout.Json.to_json() |> Situ.Studio.Layout.Json.parse_json()
+      iex> {again == layout, id, hd(layout.rows).panel}
+      {true, "p1", :plot}
+  """
   @spec new(String.t()) :: t()
   def new(name), do: %__MODULE__{name: name}
 

@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Layouts do
-  @moduledoc """
-  Saves named layouts in a folder, one JSON file each. The file contains the name; the file name is derived from the
-  letters and digits of the name.
-  """
+  @moduledoc false
+  # Saves named layouts in a folder, one JSON file each. The file contains the name; the file name
+  # is derived from the letters and digits of the name.
   alias Situ.Error
   alias Situ.Studio.Layout
 

@@ -1,6 +1,15 @@
 defmodule Situ.Studio.Link do
-  @moduledoc """
-  Encodes a layout as part of a URL, so that a link shows the sender's layout even if it was not saved.
+  @moduledoc false
+  # Encodes a layout as part of a URL, so that a link shows the sender's layout even if it was not
+  # saved.
+  alias Situ.Error
+  alias Situ.Studio.Layout
+
+  @max_code 8_000
+  @max_json 200_000
+
+  @doc """
+  Encodes a layout as a URL-safe string.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, _} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
@@ -11,13 +20,6 @@ defmodule Situ.Studio.Link do
       iex> error.code
       :bad_link
   """
-  alias Situ.Error
-  alias Situ.Studio.Layout
-
-  @max_code 8_000
-  @max_json 200_000
-
-  @doc "Encodes a layout as a URL-safe string."
   @spec encode(Layout.t()) :: String.t()
   def encode(%Layout{} = layout) do
     layout |> Layout.Json.to_json() |> :zlib.zip() |> Base.url_encode64(padding: false)

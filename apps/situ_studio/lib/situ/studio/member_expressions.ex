@@ -1,7 +1,13 @@
 defmodule Situ.Studio.MemberExpressions do
-  @moduledoc """
-  Lists the members of a stream's values as expressions, so that each can become a derived stream: fields of structs,
-  keys of maps, and indexes of tuples and short lists. Pure.
+  @moduledoc false
+  # Lists the members of a stream's values as expressions, so that each can become a derived
+  # stream: fields of structs, keys of maps, and indexes of tuples and short lists. Pure.
+
+  # Longer lists are treated as numeric data, which bar charts show.
+  @longest 16
+
+  @doc """
+  Returns an expression for each member that occurs in any of the values, sorted by name.
 
       iex> Situ.Studio.MemberExpressions.member_expressions("Robot.Pose", [%{:x => 1, "left hand" => 2}, {1, 2}])
       ["`Robot.Pose`.x", "`Robot.Pose`['left hand']", "`Robot.Pose`[0]", "`Robot.Pose`[1]"]
@@ -10,11 +16,6 @@ defmodule Situ.Studio.MemberExpressions do
       iex> Situ.Studio.MemberExpressions.member_expressions("Level", [0.5])
       []
   """
-
-  # Longer lists are treated as numeric data, which bar charts show.
-  @longest 16
-
-  @doc "Returns an expression for each member that occurs in any of the values, sorted by name."
   @spec member_expressions(String.t(), [term()]) :: [String.t()]
   def member_expressions(stream, values) do
     base = base_expression(stream)

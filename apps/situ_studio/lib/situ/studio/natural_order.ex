@@ -1,16 +1,17 @@
 defmodule Situ.Studio.NaturalOrder do
-  @moduledoc """
-  Sorts names in natural order, in which numbers within a name are compared by value.
-
-      iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.sort_key/1)
-      ["B", "Sensor9", "Sensor9.x", "Sensor10"]
-  """
+  @moduledoc false
+  # Sorts names in natural order, in which numbers within a name are compared by value.
   # Longer runs of digits are unlikely to be numbers, so they are compared as text.
   @digits 15
 
   @type key :: [{0, non_neg_integer()} | {1, String.t()}]
 
-  @doc "Returns the sort key of a name."
+  @doc """
+  Returns the sort key of a name.
+
+      iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.sort_key/1)
+      ["B", "Sensor9", "Sensor9.x", "Sensor10"]
+  """
   @spec sort_key(String.t()) :: key()
   def sort_key(name) do
     for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true),

@@ -1,13 +1,13 @@
 defmodule Situ.Studio.PipelineView do
-  @moduledoc """
-  Serves the page of a pipeline's graph. It shows components, composites that can be folded, and connections with
-  their policies, coloured by any statistic of `Situ.Studio.PipelineView.Stats`. A click shows an object's statistics
-  on the right, with plots of their history.
-
-  For a running pipeline the page shows the current state, updated twice a second, and the hour before the page was
-  opened. For a recording it shows the moment chosen below the graph. The address contains the view: `heat`, `mark`,
-  `way`, `fold`, `sel`, `plots`, `at`.
-  """
+  @moduledoc false
+  # Serves the page of a pipeline's graph. It shows components, composites that can be folded, and
+  # connections with their policies, coloured by any statistic of
+  # `Situ.Studio.PipelineView.Stats`. A click shows an object's statistics on the right, with
+  # plots of their history.
+  #
+  # For a running pipeline the page shows the current state, updated twice a second, and the hour
+  # before the page was opened. For a recording it shows the moment chosen below the graph. The
+  # address contains the view: `heat`, `mark`, `way`, `fold`, `sel`, `plots`, `at`.
   use Situ.Live.View
 
   alias Situ.Studio.{Alerts, Catalog}

@@ -1,15 +1,15 @@
 defmodule Situ.Studio.PipelineWatcher do
-  @moduledoc """
-  Watches one running pipeline: taps a stream when a page first requests it, stores its recent messages in a
-  `Situ.Studio.History`, and removes the tap when no page has requested the stream for a while.
-
-  Each tap has a lossy queue in a separate process (`Situ.attach_tap/3`), and pages read only the history. However
-  slow or numerous the pages are, the pipeline only hands over messages.
-
-  A target function is called again when its pipeline has ended or was replaced, for example by a supervisor restart
-  or a failover to another cluster node. Streams of the new pipeline are tapped when a page requests them; the time in
-  between is a gap (`Situ.Studio.Gap`).
-  """
+  @moduledoc false
+  # Watches one running pipeline: taps a stream when a page first requests it, stores its recent
+  # messages in a `Situ.Studio.History`, and removes the tap when no page has requested the stream
+  # for a while.
+  #
+  # Each tap has a lossy queue in a separate process (`Situ.attach_tap/3`), and pages read only
+  # the history. However slow or numerous the pages are, the pipeline only hands over messages.
+  #
+  # A target function is called again when its pipeline has ended or was replaced, for example by
+  # a supervisor restart or a failover to another cluster node. Streams of the new pipeline are
+  # tapped when a page requests them; the time in between is a gap (`Situ.Studio.Gap`).
   use GenServer, restart: :temporary
 
   alias Situ.Error

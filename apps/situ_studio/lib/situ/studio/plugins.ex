@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Plugins do
   @moduledoc """
-  Loads third-party extensions: visualizers, adapters, file readers and tasks.
+  Loads third-party extensions: visualizers, adapters, file formats and tasks.
 
   A **plug-in** is a folder:
 
@@ -10,10 +10,11 @@ defmodule Situ.Studio.Plugins do
         web/*.js          ES modules that draw in the page
         test/             tests of both; run them with `situ plugin test FOLDER`
 
-  Plug-ins are loaded from the folders that the user names (`plugins:` of `Situ.Studio`, `--plugins` on the command
-  line) and from `$XDG_CONFIG_HOME/situ/plugins`. **They run with all permissions of the user**, like any other
-  program, so use only folders whose authors you trust. The page's content security policy allows scripts only from
-  these folders; a plug-in cannot load anything from another site.
+  Plug-ins are loaded from the folders that the user names (`plugins:` of `Situ.Studio`,
+  `--plugins` on the command line) and from `$XDG_CONFIG_HOME/situ/plugins`. **They run with all
+  permissions of the user**, like any other program, so use only folders whose authors you
+  trust. The page's content security policy allows scripts only from these folders; a plug-in
+  cannot load anything from another site.
 
   Modules in `lib/` are recognized by their behaviours:
 
@@ -21,14 +22,16 @@ defmodule Situ.Studio.Plugins do
   |---|---|
   | `Situ.Studio.Visualizer` | a visualizer (a module named in the manifest belongs to that entry) |
   | `Situ.Studio.Adapter` | an adapter |
-  | `Situ.Store.Reader` | a reader: files with its extensions open as recordings, also on the command line |
+  | `Situ.Recording.Format` | a file format: its files open as recordings, also on the command line |
   | `Situ.Dataset.Task` | a task of `situ task` and of the studio |
 
-  An application can provide the same modules without a folder through its configuration: `studio_visualizers`,
-  `studio_adapters`, `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
+  An application can provide the same modules without a folder through its configuration:
+  `studio_visualizers`, `studio_adapters`, `recording_formats` and `dataset_tasks` in `env:` of
+  its `mix.exs`.
 
-  A broken plug-in affects nothing else. If its code does not compile, its visualizers stay available and their panels
-  show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Sandbox`).
+  A broken plug-in affects nothing else. If its code does not compile, its visualizers stay
+  available and their panels show the error. Code of plug-ins runs in separate processes. The guide "Your own
+  visualizer" builds a plug-in.
   """
   # See docs/adr/0083-plug-ins-are-folders-with-a-manifest.md.
   alias Situ.Error
@@ -36,7 +39,8 @@ defmodule Situ.Studio.Plugins do
   alias Situ.Studio.Plugins.{Code, Manifest}
 
   defmodule Plugin do
-    @moduledoc "Represents a loaded plug-in; `problem` explains why it cannot be used."
+    @moduledoc false
+    # Represents a loaded plug-in; `problem` explains why it cannot be used.
     @enforce_keys [:id, :title, :folder]
     defstruct [:id, :title, :folder, :problem, visualizers: [], modules: []]
 
@@ -91,7 +95,10 @@ defmodule Situ.Studio.Plugins do
     %{plugin | problem: problem, visualizers: [], modules: []}
   end
 
-  @doc "Loads one plug-in from its folder."
+  @doc """
+  Loads one plug-in from its folder. In the result, `problem` explains why the plug-in cannot be used (`nil` if it can),
+  `visualizers` lists its `t:Situ.Studio.Visualizer.t/0`s, and `modules` the modules of its `lib` folder.
+  """
   @spec plugin(Path.t()) :: Plugin.t()
   def plugin(folder) do
     folder = Path.expand(folder)
@@ -196,11 +203,11 @@ defmodule Situ.Studio.Plugins do
         do: module
   end
 
-  @doc "Registers the readers and tasks of plug-ins with stores and datasets in this VM."
+  @doc "Registers the file formats and tasks of plug-ins with stores and datasets in this VM."
   @spec register_modules([Plugin.t()]) :: :ok
   def register_modules(plugins) do
     modules = Enum.flat_map(plugins, & &1.modules)
-    append_env(:situ_store, :readers, Code.filter_by_behaviour(modules, Situ.Store.Reader))
+    append_env(:situ_store, :formats, Code.filter_by_behaviour(modules, Situ.Recording.Format))
 
     append_env(
       :situ_dataset,

@@ -1,27 +1,7 @@
 defmodule Situ.Studio.Scene do
-  @moduledoc """
-  Represents one message for the page's 3D view: a list of items of nine kinds, with binary numeric data.
-
-  | kind | an item contains | numbers |
-  |---|---|---|
-  | `points` | a point cloud | `position` 3 floats, optionally `color` 3 bytes, `value` 1 float |
-  | `lines` | lines, or arrows if `arrow` is true | `position` 6 floats, optionally `color` 3 bytes |
-  | `boxes` | boxes | `matrix` 16 floats in column-major order, of a cube with edges of 1 |
-  | `meshes` | one mesh | `position` 3 floats, `index` 3 32-bit integers |
-  | `texts` | text that faces the viewer | `position` 3 floats |
-  | `quads` | flat surfaces, optionally with an image | `corner` 12 floats: top left, top right, bottom right, bottom left |
-  | `frusta` | camera frusta | `corner` 15 floats: the apex, and the corners at 1 m |
-  | `graphs` | nodes and their edges | `position` 3 floats, `edge` 2 32-bit integers, optionally `confidence` 1 byte |
-  | `voxels` | cubes of one size | `position` 3 floats, optionally `value` 1 float |
-
-  Units are meters, with x forward, y left and z up. `names` contains the names that the pointer shows, one per
-  element.
-
-      iex> item = Situ.Studio.Scene.new_item(:points, 1, [position: Situ.Studio.Scene.encode_floats([1.0, 2.0, 3.0])])
-      iex> <<size::little-32, 0::32, json::binary-size(size), _::binary>> =
-      ...>   IO.iodata_to_binary(Situ.Studio.Scene.pack([item]))
-      iex> {:ok, %{"items" => [%{"kind" => "points", "count" => 1}]}} = Situ.JSON.decode(json)
-  """
+  @moduledoc false
+  # Represents one message for the page's 3D view: a list of items of nine kinds, with binary
+  # numeric data. `Situ.Studio.Frame` describes the kinds and their numbers.
 
   alias Situ.Studio.FrameSchema
 
@@ -42,7 +22,14 @@ defmodule Situ.Studio.Scene do
           numbers: [{atom(), iodata()}]
         }
 
-  @doc "Creates an item with `count` elements of a kind."
+  @doc """
+  Creates an item with `count` elements of a kind.
+
+      iex> item = Situ.Studio.Scene.new_item(:points, 1, [position: Situ.Studio.Scene.encode_floats([1.0, 2.0, 3.0])])
+      iex> <<size::little-32, 0::32, json::binary-size(size), _::binary>> =
+      ...>   IO.iodata_to_binary(Situ.Studio.Scene.pack([item]))
+      iex> {:ok, %{"items" => [%{"kind" => "points", "count" => 1}]}} = Situ.JSON.decode(json)
+  """
   @spec new_item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
   def new_item(kind, count, numbers, meta \\ %{}) when kind in @kinds,
     do: %__MODULE__{kind: kind, count: count, numbers: numbers, meta: meta}

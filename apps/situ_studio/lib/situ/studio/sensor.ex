@@ -1,17 +1,4 @@
 defmodule Situ.Studio.Sensor do
-  @schema [
-    page: [
-      type: :string,
-      default: "page",
-      doc: "The page's name; its address in the studio is `/sensor?name=NAME`."
-    ],
-    buffer: [
-      type: :pos_integer,
-      default: 200,
-      doc: "The number of audio chunks buffered for a slow pipeline; the oldest are dropped."
-    ]
-  ]
-
   @moduledoc """
   Reads a browser's camera and microphone through a page of the studio, on this machine or on a phone.
 
@@ -32,11 +19,23 @@ defmodule Situ.Studio.Sensor do
   Times are from the browser, corrected by the clock offset. The offset is measured with short round trips; its error
   is at most half of the shortest round trip. The browser captures an image when the pipeline has consumed the
   previous one, so for a slow pipeline frames are skipped before they are encoded.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  @schema [
+    page: [
+      type: :string,
+      default: "page",
+      doc: "The page's name; its address in the studio is `/sensor?name=NAME`."
+    ],
+    buffer: [
+      type: :pos_integer,
+      default: 200,
+      doc: "The number of audio chunks buffered for a slow pipeline; the oldest are dropped."
+    ]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
+
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
   alias Situ.Studio.FrameSchema
   alias Situ.Studio.Sensor.PageSource

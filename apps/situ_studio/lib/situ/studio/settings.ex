@@ -1,23 +1,15 @@
 defmodule Situ.Studio.Settings do
-  @moduledoc """
-  Stores the settings that all browsers of a studio share, in a JSON file next to the layouts folder. Missing or
-  invalid values fall back to their defaults, so that every page opens even if the file is damaged. Settings of a
-  single browser are stored in that browser.
-
-      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
-      iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})
-      iex> Situ.Studio.Settings.load(folder).info
-      :size
-      iex> File.rm_rf!(Path.dirname(folder)) != []
-      true
-
-  | setting | meaning | default |
-  |---|---|---|
-  | `layout` | the initial layout of a recording whose address does not name one | `Automatic` |
-  | `keep` | `:by_hand`: layouts are saved on request; `:at_once`: with each change; `:ask`: on request, with a warning when a page with unsaved changes is closed | `:by_hand` |
-  | `info` | the statistic next to stream names, one of `Situ.Studio.StreamTotals.list_choices/0` | `:rate` |
-  | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
-  """
+  @moduledoc false
+  # Stores the settings that all browsers of a studio share, in a JSON file next to the layouts
+  # folder. Missing or invalid values fall back to their defaults, so that every page opens even
+  # if the file is damaged. Settings of a single browser are stored in that browser.
+  #
+  # | setting | meaning | default |
+  # |---|---|---|
+  # | `layout` | the initial layout of a recording whose address does not name one | `Automatic` |
+  # | `keep` | when layouts are saved: `:by_hand`, `:at_once`, or `:ask` when a page is closed | `:by_hand` |
+  # | `info` | the statistic next to stream names, one of `Situ.Studio.StreamTotals.list_choices/0` | `:rate` |
+  # | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
   alias Situ.Error
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.Layout
@@ -77,7 +69,16 @@ defmodule Situ.Studio.Settings do
   defp find_choice(choices, text, usual),
     do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
 
-  @doc "Saves the settings atomically."
+  @doc """
+  Saves the settings atomically.
+
+      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
+      iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})
+      iex> Situ.Studio.Settings.load(folder).info
+      :size
+      iex> File.rm_rf!(Path.dirname(folder)) != []
+      true
+  """
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(layouts, %__MODULE__{} = settings) do
     path = settings_path(layouts)

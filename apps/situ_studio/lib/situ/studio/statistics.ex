@@ -1,20 +1,11 @@
 defmodule Situ.Studio.Statistics do
-  @moduledoc """
-  Computes statistics of a stream's messages within an interval: count, rate, regularity, and the distribution of
-  numeric values.
-
-      iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
-      iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
-      iex> stats = Map.new(Situ.Studio.Statistics.compute_statistics(messages, []))
-      iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
-      {4, 4.0, 1, 2, 10}
-      iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
-      {7.5e7, 10, 20}
-
-  A gap is a pause of more than three times the median pause. The standard deviation is the sample standard deviation
-  (n - 1); percentiles are values of messages (nearest rank).
-  """
-  alias Situ.Studio.{ValuePath, Source}
+  @moduledoc false
+  # Computes statistics of a stream's messages within an interval: count, rate, regularity, and
+  # the distribution of numeric values.
+  #
+  # A gap is a pause of more than three times the median pause. The standard deviation is the
+  # sample standard deviation (n - 1); percentiles are values of messages (nearest rank).
+  alias Situ.Studio.{ValuePath, StreamReader}
   alias Situ.Studio.Draw.{Bins, Key}
 
   # A pause longer than this multiple of the median pause is a gap.
@@ -41,7 +32,7 @@ defmodule Situ.Studio.Statistics do
   two million, of which the first are used). The row of an unreadable stream contains the `error`.
   """
   @spec compute_rows(
-          Source.t(),
+          Situ.Recording.t(),
           %{:stream => String.t(), :path => String.t(), optional(atom()) => term()},
           Situ.Time.t(),
           Situ.Time.t()
@@ -72,7 +63,7 @@ defmodule Situ.Studio.Statistics do
   Computes the statistics of all streams that a panel draws. Reading millions of messages takes a while, so another
   process does it and sends `{:statistics, rows}` to the caller.
   """
-  @spec compute_async(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
+  @spec compute_async(Situ.Recording.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
   def compute_async(source, vis, from, to) do
     caller = self()
 
@@ -90,7 +81,7 @@ defmodule Situ.Studio.Statistics do
     do: read_values(source, stream, path, range, [], 0)
 
   defp read_values(source, stream, path, {from, to} = range, read, n) do
-    case Source.call(source, :messages, [stream, from, to, @page]) do
+    case StreamReader.read_messages(source, stream, from, to, @page) do
       {:ok, messages, :more} when messages != [] and n + length(messages) < @most ->
         next = List.last(messages).originating_time + 1
         range = put_elem(range, 0, next)
@@ -150,7 +141,17 @@ defmodule Situ.Studio.Statistics do
 
   defp collect_numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
 
-  @doc "Returns names and values in display order; `path` selects a part of the messages."
+  @doc """
+  Returns names and values in display order; `path` selects a part of the messages.
+
+      iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
+      iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
+      iex> stats = Map.new(Situ.Studio.Statistics.compute_statistics(messages, []))
+      iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
+      {4, 4.0, 1, 2, 10}
+      iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
+      {7.5e7, 10, 20}
+  """
   @spec compute_statistics([Situ.Message.t()], ValuePath.t()) :: [{String.t(), number()}]
   def compute_statistics(messages, path) do
     pairs = extract_values(messages, path)

@@ -4,7 +4,7 @@ defmodule Situ.Studio.Stores do
   # followed, because they may form a cycle or lead out of the folder.
 
   alias Situ.Dataset.FileFormat
-  alias Situ.Store.Formats
+  alias Situ.Recording.Formats
   alias Situ.Studio.NaturalOrder
 
   @most 5_000

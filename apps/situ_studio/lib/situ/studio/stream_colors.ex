@@ -1,22 +1,22 @@
 defmodule Situ.Studio.StreamColors do
-  @moduledoc """
-  Assigns colors to streams. A stream has the same color in every panel, given by its rank among all streams. The
-  colors themselves are in the style sheet; here they are numbers.
-
-      iex> ranks = Situ.Studio.StreamColors.rank_streams(["Mic.Level", "Imu.Y", "Imu.X"])
-      iex> Situ.Studio.StreamColors.assign_colors(["Imu.Y", "Mic.Level"], ranks)
-      [1, 2]
-
-  Streams in one panel have different colors: a stream whose color is taken gets the next free one.
-
-      iex> Situ.Studio.StreamColors.assign_colors(["a", "b", "c"], %{"a" => 3, "b" => 11, "c" => 4})
-      [3, 4, 5]
-  """
+  @moduledoc false
+  # Assigns colors to streams. A stream has the same color in every panel, given by its rank among
+  # all streams. The colors themselves are in the style sheet; here they are numbers.
+  #
+  # Streams in one panel have different colors: a stream whose color is taken gets the next free
+  # one.
   alias Situ.Studio.NaturalOrder
 
   @colors 8
 
-  @doc "Ranks all streams. Derived streams (`= ...`) come last, so they do not change the rank of other streams."
+  @doc """
+  Ranks all streams. Derived streams (`= ...`) come last, so they do not change the rank of other
+  streams.
+
+      iex> ranks = Situ.Studio.StreamColors.rank_streams(["Mic.Level", "Imu.Y", "Imu.X"])
+      iex> Situ.Studio.StreamColors.assign_colors(["Imu.Y", "Mic.Level"], ranks)
+      [1, 2]
+  """
   @spec rank_streams([String.t()]) :: %{optional(String.t()) => non_neg_integer()}
   def rank_streams(names) do
     names
@@ -25,7 +25,12 @@ defmodule Situ.Studio.StreamColors do
     |> Map.new()
   end
 
-  @doc "Returns the colors of the streams of one panel, in order."
+  @doc """
+  Returns the colors of the streams of one panel, in order.
+
+      iex> Situ.Studio.StreamColors.assign_colors(["a", "b", "c"], %{"a" => 3, "b" => 11, "c" => 4})
+      [3, 4, 5]
+  """
   @spec assign_colors([String.t()], map()) :: [0..7]
   def assign_colors(streams, ranks) do
     {colors, _} =

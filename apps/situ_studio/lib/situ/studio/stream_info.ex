@@ -1,22 +1,14 @@
 defmodule Situ.Studio.StreamInfo do
-  @moduledoc """
-  Describes one stream of any source, including its shape, by which visualizers are chosen.
-
-  `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`, `:depth`, `:shapes`
-  (rectangles and points over images), `:masks` (lists of masks over images), `:bars` (lists of numbers), `:signals`
-  (maps of numbers), `:states` (maps of booleans, atoms or strings), `:spans` (time intervals), `:space` (poses,
-  clouds, skeletons and so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
-  term).
-
-      iex> Situ.Studio.StreamInfo.shape_of_type({:list, Situ.Rect})
-      :shapes
-      iex> Situ.Studio.StreamInfo.shape_of_type({:optional, :float})
-      :signal
-      iex> Situ.Studio.StreamInfo.shape_of_type({:map, :any, :boolean})
-      :states
-      iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
-      :signals
-  """
+  @moduledoc false
+  # Describes one stream of any recording for a page, including its shape, by which visualizers
+  # are chosen.
+  #
+  # `shape` is one of `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
+  # `:depth`, `:shapes` (rectangles and points over images), `:masks` (lists of masks over
+  # images), `:bars` (lists of numbers), `:signals` (maps of numbers), `:states` (maps of
+  # booleans, atoms or strings), `:spans` (time intervals), `:space` (poses, clouds, skeletons and
+  # so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
+  # term).
   alias Situ.Studio.Draw.{Key, Segments}
   alias Situ.Studio.Scene.TermItems
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
@@ -95,7 +87,18 @@ defmodule Situ.Studio.StreamInfo do
 
   def mean_rate(_, _, _), do: nil
 
-  @doc "Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise."
+  @doc """
+  Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise.
+
+      iex> Situ.Studio.StreamInfo.shape_of_type({:list, Situ.Rect})
+      :shapes
+      iex> Situ.Studio.StreamInfo.shape_of_type({:optional, :float})
+      :signal
+      iex> Situ.Studio.StreamInfo.shape_of_type({:map, :any, :boolean})
+      :states
+      iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
+      :signals
+  """
   @spec shape_of_type(Situ.Type.t() | nil) :: shape()
   def shape_of_type(type) when type in [:integer, :float, :number], do: :signal
   def shape_of_type(:boolean), do: :boolean
@@ -155,19 +158,22 @@ defmodule Situ.Studio.StreamInfo do
 
   @simple ~w(integer float number boolean atom string)
 
-  # Parses only the parts of a type that determine its shape. A name is converted only if its atom already exists.
-  defp parse_type("list of " <> type), do: {:list, parse_type(type)}
-  defp parse_type("one of :" <> _), do: :atom
-  defp parse_type(text) when text in @simple, do: String.to_existing_atom(text)
+  @doc """
+  Parses the parts of a type that determine its shape. A name is converted only if its atom already exists.
+  """
+  @spec parse_type(String.t()) :: Situ.Type.t()
+  def parse_type("list of " <> type), do: {:list, parse_type(type)}
+  def parse_type("one of :" <> _), do: :atom
+  def parse_type(text) when text in @simple, do: String.to_existing_atom(text)
 
-  defp parse_type("map of " <> rest) do
+  def parse_type("map of " <> rest) do
     case String.split(rest, " to ", parts: 2) do
       [_, value] -> {:map, :any, parse_type(value)}
       _ -> :any
     end
   end
 
-  defp parse_type(text) do
+  def parse_type(text) do
     case String.split(text, " or nil", parts: 2) do
       [type, ""] when type != "" -> {:optional, parse_type(type)}
       _ -> String.to_existing_atom("Elixir." <> text)

@@ -1,18 +1,7 @@
 defmodule Situ.Studio.StreamTotals do
-  @moduledoc """
-  Computes and formats the statistics next to the names in the trees of streams, recordings and sessions.
-
-      iex> alias Situ.Studio.{StreamInfo, StreamTotals}
-      iex> s = 1_000_000_000
-      iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: s}
-      iex> image = %StreamInfo{name: "Image", shape: :image, count: 1, bytes: 192, latency: 4.0e6, first: 0, last: 0}
-      iex> both = StreamTotals.sum_streams([level, image])
-      iex> for choice <- [:count, :size, :average_size, :bytes_per_second, :rate, :streams, :duration],
-      ...>     do: StreamTotals.format_figure(choice, both)
-      ["102", "1.0 kB", "9.8 B", "1.0 kB/s", "101/s", "2 streams", "1.00 s"]
-      iex> StreamTotals.format_figure(:latency, both)
-      "2.02 ms"
-  """
+  @moduledoc false
+  # Computes and formats the statistics next to the names in the trees of streams, recordings and
+  # sessions.
   alias Situ.Studio.StreamInfo
 
   # Several sessions may overlap or be days apart, so their `length` is the sum of their durations.
@@ -78,7 +67,20 @@ defmodule Situ.Studio.StreamTotals do
     end
   end
 
-  @doc "Summarizes streams; the mean latency is weighted by the number of messages."
+  @doc """
+  Summarizes streams; the mean latency is weighted by the number of messages.
+
+      iex> alias Situ.Studio.{StreamInfo, StreamTotals}
+      iex> s = 1_000_000_000
+      iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: s}
+      iex> image = %StreamInfo{name: "Image", shape: :image, count: 1, bytes: 192, latency: 4.0e6, first: 0, last: 0}
+      iex> both = StreamTotals.sum_streams([level, image])
+      iex> for choice <- [:count, :size, :average_size, :bytes_per_second, :rate, :streams, :duration],
+      ...>     do: StreamTotals.format_figure(choice, both)
+      ["102", "1.0 kB", "9.8 B", "1.0 kB/s", "101/s", "2 streams", "1.00 s"]
+      iex> StreamTotals.format_figure(:latency, both)
+      "2.02 ms"
+  """
   @spec sum_streams([StreamInfo.t()]) :: t()
   def sum_streams(streams) do
     timed =

@@ -1,12 +1,8 @@
 defmodule Situ.Studio.TableExport do
-  @moduledoc """
-  Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV file.
-
-      iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
-      iex> Situ.Studio.TableExport.csv_row("Speech", message)
-      ~s(1500000000,1970-01-01T00:00:01.500000000Z,Speech,"say ""hi\"""\\r\\n)
-  """
-  alias Situ.Studio.{AudioSamples, Source}
+  @moduledoc false
+  # Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV
+  # file.
+  alias Situ.Studio.{AudioSamples, StreamReader}
 
   # Messages are read in pages, so that memory use does not depend on the length of the selection.
   @page 2_000
@@ -14,7 +10,8 @@ defmodule Situ.Studio.TableExport do
   @stretch 10 * @second
 
   @doc "Returns the CSV rows of streams between two times, including a header, as an enumerable of text chunks."
-  @spec csv_chunks(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t()) :: Enumerable.t()
+  @spec csv_chunks(Situ.Recording.t(), [String.t()], Situ.Time.t(), Situ.Time.t()) ::
+          Enumerable.t()
   def csv_chunks(source, streams, from, to) do
     rows = Stream.flat_map(streams, &csv_pages(source, &1, from, to))
     Stream.concat(["time_ns,time,stream,value\r\n"], rows)
@@ -29,7 +26,7 @@ defmodule Situ.Studio.TableExport do
         nil
 
       at ->
-        case Source.call(source, :messages, [stream, at, to, @page]) do
+        case StreamReader.read_messages(source, stream, at, to, @page) do
           {:ok, messages, more} -> {messages, next_start(messages, more)}
           {:error, _} -> nil
         end
@@ -41,7 +38,7 @@ defmodule Situ.Studio.TableExport do
   `value` or one column per member of maps and structs (`Situ.Bridge.Parquet`). Image and audio streams are left out;
   if there are no other streams, the error is `:no_table`.
   """
-  @spec write_parquet(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t(), Path.t()) ::
+  @spec write_parquet(Situ.Recording.t(), [String.t()], Situ.Time.t(), Situ.Time.t(), Path.t()) ::
           {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
   def write_parquet(source, streams, from, to, path) do
     case Enum.filter(streams, &tabular?(source, &1, to)) do
@@ -65,7 +62,7 @@ defmodule Situ.Studio.TableExport do
     do: for(m <- messages, do: %{m | data: %{"stream" => stream, "value" => m.data}})
 
   defp tabular?(source, stream, to) do
-    case Source.call(source, :latest_at, [stream, to]) do
+    case StreamReader.latest_at(source, stream, to) do
       {:ok, %{data: %module{}}} -> not Situ.Codec.implemented_by?(module)
       {:ok, _} -> true
       _ -> false
@@ -78,7 +75,14 @@ defmodule Situ.Studio.TableExport do
   defp encode_rows(stream, messages),
     do: messages |> Enum.map(&csv_row(stream, &1)) |> IO.iodata_to_binary()
 
-  @doc "Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their size."
+  @doc """
+  Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their
+  size.
+
+      iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
+      iex> Situ.Studio.TableExport.csv_row("Speech", message)
+      ~s(1500000000,1970-01-01T00:00:01.500000000Z,Speech,"say ""hi\"""\\r\\n)
+  """
   @spec csv_row(String.t(), Situ.Message.t()) :: String.t()
   def csv_row(stream, %Situ.Message{originating_time: time, data: data}) do
     fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, format_value(data)]
@@ -113,7 +117,7 @@ defmodule Situ.Studio.TableExport do
   defp quote_field(text), do: "\"" <> String.replace(text, "\"", "\"\"") <> "\""
 
   @doc "Encodes audio between two times as a WAV file of 32-bit floats with all channels; gaps are silence."
-  @spec encode_wav(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec encode_wav(Situ.Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, iodata()} | {:error, Situ.Error.t()}
   def encode_wav(source, stream, from, to) do
     split_range(from, to)

@@ -1,19 +1,19 @@
 defmodule Situ.Studio.Thumbnail do
-  @moduledoc """
-  Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first signal.
-  """
+  @moduledoc false
+  # Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first
+  # signal.
   alias Situ.{Image, ImageOps}
-  alias Situ.Studio.{Draw, Source}
+  alias Situ.Studio.{Draw, StreamOverview, StreamReader}
 
   @width 160
   @height 90
   @bins 160
 
   @doc "Returns the media type and the bytes, or `:none` if the recording has no image and no signal."
-  @spec render_thumbnail(Source.t()) :: {:ok, String.t(), iodata()} | :none
+  @spec render_thumbnail(Situ.Recording.t()) :: {:ok, String.t(), iodata()} | :none
   def render_thumbnail(source) do
-    with {:ok, streams} <- Source.call(source, :streams, []),
-         {:ok, extent} <- Source.call(source, :extent, []) do
+    with {:ok, streams} <- StreamOverview.list_streams(source),
+         {:ok, extent} <- StreamReader.fetch_extent(source) do
       middle = div(extent.from + extent.to, 2)
 
       image_thumbnail(source, streams_with_shape(streams, [:image]), middle) ||
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Thumbnail do
 
   defp image_thumbnail(source, streams, middle) do
     Enum.find_value(streams, fn stream ->
-      with {:ok, message} <- Source.fetch_nearest(source, stream.name, middle),
+      with {:ok, message} <- StreamReader.fetch_nearest(source, stream.name, middle),
            {:ok, small} <- shrink_image(message.data),
            {:ok, data} <- Draw.Jpeg.encode(small, 80) do
         {:ok, "image/jpeg", data}
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Thumbnail do
 
   # A stored JPEG or PNG is sent unchanged, because browsers scale it themselves.
   defp stored_image(source, stream, middle) do
-    with {:ok, message} <- Source.fetch_nearest(source, stream.name, middle),
+    with {:ok, message} <- StreamReader.fetch_nearest(source, stream.name, middle),
          {:ok, {format, _, _, data, _}} when format in [:jpeg, :png] <-
            Draw.BrowserImage.to_browser_image(message.data) do
       {:ok, "image/#{format}", data}
@@ -69,7 +69,13 @@ defmodule Situ.Studio.Thumbnail do
       to = min(stream.last || extent.to, extent.to)
 
       with {:ok, [_ | _] = points, _} <-
-             Source.call(source, :series, [stream.name, from, to, max(div(to - from, @bins), 1)]),
+             StreamOverview.read_series(
+               source,
+               stream.name,
+               from,
+               to,
+               max(div(to - from, @bins), 1)
+             ),
            ends when ends != nil <- value_range(points) do
         {:ok, "image/svg+xml", render_svg(points, ends, from, to)}
       else

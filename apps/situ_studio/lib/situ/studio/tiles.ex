@@ -1,15 +1,8 @@
 defmodule Situ.Studio.Tiles do
-  @moduledoc """
-  Describes the source of map tiles. There is none unless the user names an address or a folder. The page's content
-  security policy allows tiles only from that origin, and requests contain nothing but tile numbers.
-
-      iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
-      iex> {Situ.Studio.Tiles.allowed_origins(tiles), tiles.credit}
-      {["https://tile.example.org"], "Example's maps"}
-      iex> {:error, error} = Situ.Studio.Tiles.new("https://tile.example.org/", nil)
-      iex> error.what
-      "a map tile address must contain {z}, {x} and {y}: \\"https://tile.example.org/\\""
-  """
+  @moduledoc false
+  # Describes the source of map tiles. There is none unless the user names an address or a folder.
+  # The page's content security policy allows tiles only from that origin, and requests contain
+  # nothing but tile numbers.
   alias Situ.Error
 
   @enforce_keys [:url]
@@ -22,7 +15,16 @@ defmodule Situ.Studio.Tiles do
           folder: Path.t() | nil
         }
 
-  @doc "Builds the tile source for an address or a folder of `{z}/{x}/{y}.png`. Errors: `:bad_tiles`."
+  @doc """
+  Builds the tile source for an address or a folder of `{z}/{x}/{y}.png`. Errors: `:bad_tiles`.
+
+      iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
+      iex> {Situ.Studio.Tiles.allowed_origins(tiles), tiles.credit}
+      {["https://tile.example.org"], "Example's maps"}
+      iex> {:error, error} = Situ.Studio.Tiles.new("https://tile.example.org/", nil)
+      iex> error.what
+      "a map tile address must contain {z}, {x} and {y}: \\"https://tile.example.org/\\""
+  """
   @spec new(String.t() | nil, String.t() | nil) :: {:ok, t() | nil} | {:error, Error.t()}
   def new(nil, _credit), do: {:ok, nil}
 

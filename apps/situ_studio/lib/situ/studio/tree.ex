@@ -1,20 +1,14 @@
 defmodule Situ.Studio.Tree do
-  @moduledoc """
-  Arranges stream names as a tree: `Camera.Left.Image` is `Image` under `Left` under `Camera`. A name may be both a
-  stream and a group. Pure.
-
-      iex> tree = Situ.Studio.Tree.build(["A.x", "A.y", "B"], & &1)
-      iex> for row <- Situ.Studio.Tree.visible_rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
-      [{0, "A", nil}, {1, "x", "A.x"}, {1, "y", "A.y"}, {0, "B", "B"}]
-  """
+  @moduledoc false
+  # Arranges stream names as a tree: `Camera.Left.Image` is `Image` under `Left` under `Camera`. A
+  # name may be both a stream and a group. Pure.
 
   alias Situ.Studio.NaturalOrder
 
   defmodule Row do
-    @moduledoc """
-    Represents a row of the tree. `item` is `nil` for a group without a stream; `open?` is `nil` for a leaf; `under`
-    contains the items below it.
-    """
+    @moduledoc false
+    # Represents a row of the tree. `item` is `nil` for a group without a stream; `open?` is `nil`
+    # for a leaf; `under` contains the items below it.
     @enforce_keys [:path, :label, :depth]
     defstruct [:path, :label, :depth, :item, :open?, under: []]
 
@@ -30,7 +24,13 @@ defmodule Situ.Studio.Tree do
 
   @type t :: %{optional(String.t()) => {item :: term(), t()}}
 
-  @doc "Builds the tree of `items`; `name` returns an item's dotted name."
+  @doc """
+  Builds the tree of `items`; `name` returns an item's dotted name.
+
+      iex> tree = Situ.Studio.Tree.build(["A.x", "A.y", "B"], & &1)
+      iex> for row <- Situ.Studio.Tree.visible_rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
+      [{0, "A", nil}, {1, "x", "A.x"}, {1, "y", "A.y"}, {0, "B", "B"}]
+  """
   @spec build([item], (item -> String.t())) :: t() when item: term()
   def build(items, name) do
     Enum.reduce(items, %{}, fn item, tree -> put_item(tree, split_name(name.(item)), item) end)

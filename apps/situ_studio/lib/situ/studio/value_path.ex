@@ -1,10 +1,19 @@
 defmodule Situ.Studio.ValuePath do
-  @moduledoc """
-  Paths to a value within a message: `.rect.x`, `[0].score`, `["left"]`.
+  @moduledoc false
+  # Paths to a value within a message: `.rect.x`, `[0].score`, `["left"]`.
+  #
+  # A name after a dot is a field of a struct or a key of a map (atom or string). A number in
+  # brackets is an index into a list or tuple. A quoted name in brackets is a string key with
+  # characters that a dotted name cannot contain. Parsing never creates atoms.
+  alias Situ.Error
 
-  A name after a dot is a field of a struct or a key of a map (atom or string). A number in brackets is an index into
-  a list or tuple. A quoted name in brackets is a string key with characters that a dotted name cannot contain.
-  Parsing never creates atoms.
+  @type step :: {:name, String.t()} | {:at, non_neg_integer()}
+  @type t :: [step()]
+
+  @max_bytes 512
+
+  @doc """
+  Parses a path into its steps; `""` is the message itself.
 
       iex> {:ok, path} = Situ.Studio.ValuePath.parse(".faces[1].score")
       iex> Situ.Studio.ValuePath.fetch(%{faces: [%{score: 0.1}, %{score: 0.9}]}, path)
@@ -15,14 +24,6 @@ defmodule Situ.Studio.ValuePath do
       iex> error.code
       :bad_path
   """
-  alias Situ.Error
-
-  @type step :: {:name, String.t()} | {:at, non_neg_integer()}
-  @type t :: [step()]
-
-  @max_bytes 512
-
-  @doc "Parses a path into its steps; `\"\"` is the message itself."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) when is_binary(text) and byte_size(text) <= @max_bytes do
     case parse_steps(text, []) do

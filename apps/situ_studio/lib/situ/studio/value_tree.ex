@@ -1,14 +1,10 @@
 defmodule Situ.Studio.ValueTree do
-  @moduledoc """
-  Converts any term to a tree that a page can show: nodes `[kind, text, children | nil]`, children `[key, node,
-  path]`.
-
-  The tree is bounded: deep, long or large values are truncated and marked. Texts are plain and must not be
-  interpreted as HTML.
-
-      iex> Situ.Studio.ValueTree.build(%{x: 1.5, on: true})
-      ["map", "2 keys", [["on", ["boolean", "true", nil], ".on"], ["x", ["number", "1.5", nil], ".x"]]]
-  """
+  @moduledoc false
+  # Converts any term to a tree that a page can show: nodes `[kind, text, children | nil]`,
+  # children `[key, node, path]`.
+  #
+  # The tree is bounded: deep, long or large values are truncated and marked. Texts are plain and
+  # must not be interpreted as HTML.
   alias Situ.Studio.ValuePath
 
   @type tree :: [term()]
@@ -17,7 +13,12 @@ defmodule Situ.Studio.ValueTree do
   @max_children 100
   @max_text 400
 
-  @doc "Builds the tree of `term`."
+  @doc """
+  Builds the tree of `term`.
+
+      iex> Situ.Studio.ValueTree.build(%{x: 1.5, on: true})
+      ["map", "2 keys", [["on", ["boolean", "true", nil], ".on"], ["x", ["number", "1.5", nil], ".x"]]]
+  """
   @spec build(term()) :: tree()
   def build(term), do: build_node(term, "", 0)
 

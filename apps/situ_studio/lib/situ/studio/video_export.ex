@@ -1,22 +1,15 @@
 defmodule Situ.Studio.VideoExport do
-  @moduledoc """
-  Writes the images of a stream between two times as a video file, with the audio of another stream and with overlays
-  from other streams: masks, rectangles, points and their labels, as the page shows them.
-
-  Each image is shown from its own time until the next one; the first is the image at the start time. An image whose
-  size differs from the first one is resized.
-
-      iex> image = Situ.Image.new_filled(32, 16, :bgr24)
-      iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
-      iex> film = %Situ.Studio.VideoExport{pictures: "Camera", from: 0, to: 1}
-      iex> drawn = Situ.Studio.VideoExport.draw_overlays(film, image, [{rects, 2}])
-      iex> Situ.Image.fetch_pixel(drawn, 4, 8)
-      {:ok, [138, 195, 76]}
-  """
+  @moduledoc false
+  # Writes the images of a stream between two times as a video file, with the audio of another
+  # stream and with overlays from other streams: masks, rectangles, points and their labels, as
+  # the page shows them.
+  #
+  # Each image is shown from its own time until the next one; the first is the image at the start
+  # time. An image whose size differs from the first one is resized.
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage, Error, Image, ImageOps}
   alias Situ.Media.Encoder
   alias Situ.Studio.VideoExport.Masks
-  alias Situ.Studio.Source
+  alias Situ.Studio.StreamReader
   alias Situ.Studio.Visualizers.Masks, as: Found
   alias Situ.Studio.Visualizers.Shapes
 
@@ -56,7 +49,8 @@ defmodule Situ.Studio.VideoExport do
   Writes the file. Calls `progress` with the completed fraction, 0.0 to 1.0, about once per second of video. Errors:
   `:no_pictures`, and errors of `Situ.Media.Encoder`.
   """
-  @spec write_video(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
+  @spec write_video(t(), Situ.Recording.t(), Path.t(), (float() -> term())) ::
+          :ok | {:error, Error.t()}
   def write_video(%__MODULE__{} = film, source, path, progress) do
     with {:ok, first} <- first_image(film, source),
          format = audio_format(film, source),
@@ -107,10 +101,10 @@ defmodule Situ.Studio.VideoExport do
 
   defp fetch_first_message(film, source) do
     with {:ok, %{data: data} = message} when is_struct(data) <-
-           Source.call(source, :latest_at, [film.pictures, film.from]) do
+           StreamReader.latest_at(source, film.pictures, film.from) do
       {:ok, message}
     else
-      _ -> Source.call(source, :next_after, [film.pictures, film.from])
+      _ -> StreamReader.next_after(source, film.pictures, film.from)
     end
   end
 
@@ -128,7 +122,7 @@ defmodule Situ.Studio.VideoExport do
   # The first slice starts with the image at its start time.
   defp write_images(film, source, encoder, first, a, b, nil) do
     opening =
-      case Source.call(source, :latest_at, [film.pictures, a]) do
+      case StreamReader.latest_at(source, film.pictures, a) do
         {:ok, message} -> [%{message | originating_time: a}]
         _ -> []
       end
@@ -141,7 +135,7 @@ defmodule Situ.Studio.VideoExport do
     do: write_pages(film, source, encoder, first, {a + 1, b}, last)
 
   defp write_pages(film, source, encoder, first, {a, b}, last) do
-    with {:ok, messages, more} <- Source.call(source, :messages, [film.pictures, a, b, @page]),
+    with {:ok, messages, more} <- StreamReader.read_messages(source, film.pictures, a, b, @page),
          {:ok, last} <- encode_messages(messages, film, source, encoder, first, last) do
       if more == :more and messages != [],
         do:
@@ -184,13 +178,13 @@ defmodule Situ.Studio.VideoExport do
 
   defp overlay_data(film, source, time) do
     for {stream, color} <- film.over,
-        {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
+        {:ok, message} <- [StreamReader.latest_at(source, stream, time)],
         do: {message.data, color}
   end
 
   defp fetch_masks(film, source, time) do
     for {stream, color, props} <- film.masks,
-        {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
+        {:ok, message} <- [StreamReader.latest_at(source, stream, time)],
         {:ok, found} <- [
           Found.fetch_masks(message.data, source, stream, message.originating_time)
         ],
@@ -210,7 +204,16 @@ defmodule Situ.Studio.VideoExport do
         do: {{:labels, Enum.map(objects, &elem(&1, 0))}, color}
   end
 
-  @doc "Draws overlays on an image: the data of each stream's message, with the number of its color."
+  @doc """
+  Draws overlays on an image: the data of each stream's message, with the number of its color.
+
+      iex> image = Situ.Image.new_filled(32, 16, :bgr24)
+      iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
+      iex> film = %Situ.Studio.VideoExport{pictures: "Camera", from: 0, to: 1}
+      iex> drawn = Situ.Studio.VideoExport.draw_overlays(film, image, [{rects, 2}])
+      iex> Situ.Image.fetch_pixel(drawn, 4, 8)
+      {:ok, [138, 195, 76]}
+  """
   @spec draw_overlays(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
   def draw_overlays(_film, image, []), do: image
 
@@ -278,7 +281,7 @@ defmodule Situ.Studio.VideoExport do
   defp audio_format(%{sound: nil}, _source), do: nil
 
   defp audio_format(film, source) do
-    case Source.call(source, :next_after, [film.sound, film.from]) do
+    case StreamReader.next_after(source, film.sound, film.from) do
       {:ok, %{data: %AudioBuffer{format: format}}} -> format
       _ -> nil
     end
@@ -287,7 +290,7 @@ defmodule Situ.Studio.VideoExport do
   defp write_audio(_film, _source, _encoder, nil, _a, _b), do: :ok
 
   defp write_audio(film, source, encoder, format, a, b) do
-    with {:ok, messages, _} <- Source.call(source, :messages, [film.sound, a + 1, b, 100_000]) do
+    with {:ok, messages, _} <- StreamReader.read_messages(source, film.sound, a + 1, b, 100_000) do
       for %{data: %AudioBuffer{format: ^format} = buffer, originating_time: time} <- messages,
           reduce: :ok do
         :ok -> Encoder.audio(encoder, time, trim_buffer(buffer, time, film.from))

@@ -10,24 +10,40 @@ defmodule Situ.Studio.Visualizer do
 
       defmodule Celsius do
         @behaviour Situ.Studio.Visualizer
-        alias Situ.Studio.{Draw, Frame, Visualizer}
+        alias Situ.Studio.{Frame, Visualizer}
 
         @impl true
         def about,
           do: %Visualizer{id: "celsius", title: "Celsius", panel: :plot, shapes: [:signal], drawer: "line"}
 
         @impl true
-        def window(source, channel, spec, from, to, _bin) do
-          with {:ok, messages} <- Draw.WindowMessages.fetch_around(source, spec, from, to) do
-            points = for m <- messages, do: Draw.Bins.point(m.originating_time, (m.data - 32) / 1.8)
-            Frame.series(channel, points, true)
+        def window(source, channel, spec, from, to, bin) do
+          with {:ok, _, bins} <- Situ.Store.summary(source, spec.stream, from, to, max(div(to - from, bin), 1)) do
+            points = for {t, min, max, last, n} <- bins, do: {t, celsius(min), celsius(max), celsius(last), n}
+            Frame.series(channel, points, false)
           end
         end
+
+        defp celsius(fahrenheit), do: (fahrenheit - 32) / 1.8
       end
 
       Situ.Studio.start_link(visualizers: [Celsius])
+
+  The shapes of streams are:
+
+  | shape | messages |
+  |---|---|
+  | `:signal`, `:boolean`, `:state`, `:text` | numbers, booleans, atoms, strings |
+  | `:signals`, `:states` | maps of numbers; maps of booleans, atoms or strings |
+  | `:bars` | lists of numbers |
+  | `:audio`, `:image`, `:depth` | audio buffers, images, depth images |
+  | `:shapes`, `:masks` | rectangles and points over images; lists of masks over images |
+  | `:spans` | time intervals |
+  | `:space`, `:frames` | poses, clouds, skeletons and other objects in space; `Situ.Transform`s |
+  | `:place` | geographic positions |
+  | `:value` | any other term |
   """
-  alias Situ.Studio.{Frame, Source, StreamInfo}
+  alias Situ.Studio.{Frame, StreamInfo}
 
   @enforce_keys [:id, :title, :panel, :shapes]
   defstruct [:id, :title, :panel, :shapes, :module, :drawer, options: []] ++
@@ -75,7 +91,7 @@ defmodule Situ.Studio.Visualizer do
   name with their sizes.
   """
   @type context :: %{
-          required(:source) => Source.t(),
+          required(:source) => Situ.Recording.t(),
           required(:spec) => spec(),
           optional(:kept) => %{binary() => pos_integer()}
         }
@@ -85,7 +101,7 @@ defmodule Situ.Studio.Visualizer do
 
   @doc "Returns the frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."
   @callback window(
-              Source.t(),
+              Situ.Recording.t(),
               Frame.channel(),
               spec(),
               Situ.Time.t(),
@@ -109,9 +125,9 @@ defmodule Situ.Studio.Visualizer do
 
   @doc """
   Returns the exact value at the cursor for a visualizer with a time axis: the value of the latest message at or
-  before the cursor, never of a summary (`Situ.Studio.Draw.Values`).
+  before the cursor, never of a summary.
   """
-  @callback value_at(Source.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
+  @callback value_at(Situ.Recording.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
 
   @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 
@@ -128,11 +144,14 @@ defmodule Situ.Studio.Visualizer do
   @doc """
   Returns the properties that apply, given the values of all properties.
 
-      iex> {:ok, depth} = Situ.Studio.Visualizers.fetch("depth", :depth)
-      iex> Keyword.has_key?(Situ.Studio.Visualizer.active_options(depth, %{}), :min)
-      false
-      iex> Keyword.has_key?(Situ.Studio.Visualizer.active_options(depth, %{"range" => "fixed"}), :min)
-      true
+      iex> range = [type: {:in, ["auto", "fixed"]}, default: "auto", title: "Range"]
+      iex> min = [type: {:range, 0, 10}, default: 0, title: "Minimum", only: {:range, "fixed"}]
+      iex> depth = %Situ.Studio.Visualizer{id: "depth", title: "Depth", panel: :image, shapes: [:depth],
+      ...>   options: [range: range, min: min]}
+      iex> Keyword.keys(Situ.Studio.Visualizer.active_options(depth, %{}))
+      [:range]
+      iex> Keyword.keys(Situ.Studio.Visualizer.active_options(depth, %{"range" => "fixed"}))
+      [:range, :min]
   """
   @spec active_options(t(), map()) :: keyword()
   def active_options(%__MODULE__{options: options}, props) do
@@ -147,10 +166,10 @@ defmodule Situ.Studio.Visualizer do
   @doc """
   Returns the value of every property: the page's value (untrusted JSON) if it is valid, otherwise the default.
 
-      iex> {:ok, trail} = Situ.Studio.Visualizers.fetch_by_id("trail", [])
-      iex> settings = Situ.Studio.Visualizer.property_values(trail, %{"seconds" => 2, "opacity" => "much"})
-      iex> {settings.seconds, settings.opacity}
-      {2, 100}
+      iex> trail = %Situ.Studio.Visualizer{id: "trail", title: "Trail", panel: :image, shapes: [:shapes],
+      ...>   options: [seconds: [type: {:range, 1, 60}, default: 10], opacity: [type: {:range, 0, 100}, default: 100]]}
+      iex> Situ.Studio.Visualizer.property_values(trail, %{"seconds" => 2, "opacity" => "much"})
+      %{seconds: 2, opacity: 100}
   """
   @spec property_values(t(), map()) :: %{atom() => term()}
   def property_values(%__MODULE__{options: options}, props) do
@@ -177,7 +196,8 @@ defmodule Situ.Studio.Visualizer do
   @doc """
   Validates and converts the value of one property from a form.
 
-      iex> {:ok, line} = Situ.Studio.Visualizers.fetch("line", :signal)
+      iex> line = %Situ.Studio.Visualizer{id: "line", title: "Line", panel: :plot, shapes: [:signal],
+      ...>   options: [width: [type: {:range, 1, 5}, default: 1]]}
       iex> Situ.Studio.Visualizer.cast_property(line, "width", "2.5")
       {:ok, 2.5}
       iex> Situ.Studio.Visualizer.cast_property(line, "width", "thick")

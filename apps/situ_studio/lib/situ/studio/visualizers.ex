@@ -1,11 +1,8 @@
 defmodule Situ.Studio.Visualizers do
-  @moduledoc """
-  Lists the visualizers and selects the visualizers that accept a stream; the first is the default. To add visualizers,
-  pass their modules to `Situ.Studio` as `visualizers: [MyModule]`, see `Situ.Studio.Visualizer`.
-
-      iex> for v <- Situ.Studio.Visualizers.for_shape(:boolean), do: v.id
-      ["states", "line", "value", "log", "messages", "latency"]
-  """
+  @moduledoc false
+  # Lists the visualizers and selects the visualizers that accept a stream; the first is the
+  # default. To add visualizers, pass their modules to `Situ.Studio` as `visualizers: [MyModule]`,
+  # see `Situ.Studio.Visualizer`.
   alias Situ.Studio.{StreamInfo, Visualizer}
 
   alias Situ.Studio.Visualizers.{
@@ -41,7 +38,12 @@ defmodule Situ.Studio.Visualizers do
   @spec all([Visualizer.given()]) :: [Visualizer.t()]
   def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.to_visualizer/1)
 
-  @doc "Returns the visualizers for a stream of this shape, the default first."
+  @doc """
+  Returns the visualizers for a stream of this shape, the default first.
+
+      iex> for v <- Situ.Studio.Visualizers.for_shape(:boolean), do: v.id
+      ["states", "line", "value", "log", "messages", "latency"]
+  """
   @spec for_shape(StreamInfo.shape(), [Visualizer.given()]) :: [Visualizer.t()]
   def for_shape(shape, extra \\ []),
     do: Enum.filter(all(extra), &(&1.shapes == :any or shape in &1.shapes))

@@ -38,10 +38,10 @@ defmodule Situ.Studio.AlertsTest do
     now = System.os_time()
     message = %Situ.Message{data: value, originating_time: now, creation_time: now}
     {:ok, _, source} = Catalog.open_source(id, "Mill")
-    _ = Situ.Studio.Source.call(source, :latest_at, ["Level", now])
+    _ = Situ.Studio.StreamReader.latest_at(source, "Level", now)
     Situ.Connector.deliver_messages(connector, [message])
 
-    Stream.repeatedly(fn -> Situ.Studio.Source.call(source, :latest_at, ["Level", now]) end)
+    Stream.repeatedly(fn -> Situ.Studio.StreamReader.latest_at(source, "Level", now) end)
     |> Enum.find(&match?({:ok, %{data: ^value}}, &1))
   end
 

@@ -4,7 +4,7 @@ defmodule Situ.Studio.DataSessionTest do
   use Situ.Test.Property
 
   import Situ.Studio.Asking
-  alias Situ.Studio.{DataSession, History, Source}
+  alias Situ.Studio.{DataSession, History, StreamOverview, Recordings}
 
   @head 40
   @frame 32
@@ -30,7 +30,7 @@ defmodule Situ.Studio.DataSessionTest do
   end
 
   test "sends depth unchanged, with its unit in micrometers", %{session: session} do
-    {_, history} = session.source
+    %{state: history} = session.source
     data = <<500::little-16, 0::16, 65_535::little-16>>
     depth = Situ.DepthImage.new!(width: 3, height: 1, data: data, scale: 0.001)
     History.put(history, "depth", message(1_000_000_000, depth, 0), 8)
@@ -73,7 +73,7 @@ defmodule Situ.Studio.DataSessionTest do
 
   test "reports a source that is gone, and keeps its time range", %{session: session} do
     {_, session} = ask(session, %{})
-    {_, history} = session.source
+    %{state: history} = session.source
     :ets.delete(history.streams)
     :ets.delete(history.messages)
 
@@ -89,7 +89,7 @@ defmodule Situ.Studio.DataSessionTest do
   end
 
   test "shows malformed messages as they are", %{session: session} do
-    {_, history} = session.source
+    %{state: history} = session.source
 
     broken = [
       %{__struct__: Situ.Rect, x: 1},
@@ -121,12 +121,15 @@ defmodule Situ.Studio.DataSessionTest do
       assert kind in [1, 2, 3, 8, 10], "#{inspect(Enum.at(broken, i))} as #{draw}"
     end
 
-    assert {:ok, _} = Source.call(session.source, :streams, [])
+    assert {:ok, _} = StreamOverview.list_streams(session.source)
   end
 
   property "replies to any bytes, or refuses them" do
     forall bytes <- binary() do
-      case DataSession.handle_request(bytes, DataSession.new({Source.History, History.new()})) do
+      case DataSession.handle_request(
+             bytes,
+             DataSession.new(Recordings.History.wrap(History.new()))
+           ) do
         {:ok, _, _} -> true
         {:error, %Situ.Error{code: :bad_request}} -> true
       end
@@ -141,7 +144,7 @@ defmodule Situ.Studio.DataSessionTest do
       text = Situ.JSON.encode(request)
 
       assert {:ok, _, _} =
-               DataSession.handle_request(text, DataSession.new({Source.History, history}))
+               DataSession.handle_request(text, DataSession.new(Recordings.History.wrap(history)))
     end
   end
 

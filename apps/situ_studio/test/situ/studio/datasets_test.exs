@@ -4,7 +4,7 @@ defmodule Situ.Studio.DatasetsTest do
 
   alias Situ.Live.Test, as: Page
   alias Situ.{Dataset, Message, Store}
-  alias Situ.Studio.{BatchRuns, Catalog, Datasets, Source}
+  alias Situ.Studio.{BatchRuns, Catalog, Datasets, StreamOverview, StreamReader}
   alias Situ.Studio.Web.{DatasetView, HomeView}
 
   @moduletag :tmp_dir
@@ -92,7 +92,7 @@ defmodule Situ.Studio.DatasetsTest do
     for id <- ["study.json/a%2Fb", "study.json/a%2Fb/Room"] do
       assert {:ok, item, source} = Catalog.open_source(studio, id)
       assert item.dataset == "study.json"
-      assert {:ok, %{from: from}} = Source.call(source, :extent, [])
+      assert {:ok, %{from: from}} = StreamReader.fetch_extent(source)
       assert from == 10 * @s
     end
 
@@ -108,17 +108,17 @@ defmodule Situ.Studio.DatasetsTest do
     assert_receive {:situ_dataset, ^server, _}, 30_000
     {:ok, item, source} = Catalog.open_source(studio, "study.json/c")
     assert item.kind == :session
-    assert {:ok, %{from: from, to: to, live: false}} = Source.call(source, :extent, [])
+    assert {:ok, %{from: from, to: to, live: false}} = StreamReader.fetch_extent(source)
     assert {from, to} == {30 * @s, 109 * @s}
-    {:ok, streams} = Source.call(source, :streams, [])
+    {:ok, streams} = StreamOverview.list_streams(source)
     assert Enum.map(streams, & &1.name) == ["Late.Level", "Room.Level"]
-    {:ok, message} = Source.call(source, :latest_at, ["Late.Level", 103 * @s])
+    {:ok, message} = StreamReader.latest_at(source, "Late.Level", 103 * @s)
     assert message.data == 3
-    assert {:error, %{code: :no_stream}} = Source.call(source, :latest_at, ["Level", 103 * @s])
+    assert {:error, %{code: :no_stream}} = StreamReader.latest_at(source, "Level", 103 * @s)
     # A missing recording is reported, and the rest remains.
     Store.delete(path)
     {:ok, _, source} = Catalog.open_source(studio, "study.json/c/Room")
-    assert {:ok, [%{name: "Level"}]} = Source.call(source, :streams, [])
+    assert {:ok, [%{name: "Level"}]} = StreamOverview.list_streams(source)
     assert {:error, %{code: :no_store}} = Catalog.open_source(studio, "study.json/c/Late")
   end
 
@@ -139,7 +139,7 @@ defmodule Situ.Studio.DatasetsTest do
     assert_receive {:batch, ^file, [%{status: :failed} = run]}, 60_000
     assert [{"bad", _}] = Situ.Dataset.Derivation.Report.failures(run.report)
     {:ok, _, source} = Catalog.open_source(studio, "study.json/c/Doubled")
-    {:ok, message} = Source.call(source, :latest_at, ["Level", 35 * @s])
+    {:ok, message} = StreamReader.latest_at(source, "Level", 35 * @s)
     assert message.data == 15
 
     for {config, sessions, code} <- [
@@ -190,7 +190,7 @@ defmodule Situ.Studio.DatasetsTest do
     assert_receive {:batch, ^file, [%{status: :done, report: %{results: results}}]}, 60_000
     assert Enum.map(results, &{&1.session, &1.status}) == [{"a/b", :kept}, {"c", :done}]
     {:ok, _, source} = Catalog.open_source(studio, "study.json/c/Doubled")
-    assert {:ok, %{data: 25}} = Source.call(source, :latest_at, ["Level", 35 * @s])
+    assert {:ok, %{data: 25}} = StreamReader.latest_at(source, "Level", 35 * @s)
     refute File.exists?(file <> ".Doubled.batch")
     assert Page.count_elements(page, ".run.left") == 0
   end

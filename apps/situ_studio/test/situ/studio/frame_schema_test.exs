@@ -24,6 +24,23 @@ defmodule Situ.Studio.FrameSchemaTest do
     assert FrameSchema.decode_flags(:reply_flag, 5) == %{live: 1, gone: 0, replaced: 1}
   end
 
+  test "times of lines are exact, although one line is empty" do
+    time = 1_700_000_000_000_000_001
+    lines = [{"empty", []}, {"full", [{time, 1.0, 1.0, 1.0, 1}, {time + 1, 1.0, 1.0, 1.0, 1}]}]
+    bytes = IO.iodata_to_binary(Frame.lines(1, lines, true))
+
+    {%{time: base}, payload} = FrameSchema.decode(:frame, bytes)
+
+    {%{bytes: 5, count: 0}, <<_name::binary-size(8), payload::binary>>} =
+      FrameSchema.decode(:line, payload)
+
+    {%{bytes: 4, count: 2}, <<_name::binary-size(8), payload::binary>>} =
+      FrameSchema.decode(:line, payload)
+
+    <<first::little-float-64, second::little-float-64, _::binary>> = payload
+    assert [base + trunc(first), base + trunc(second)] == [time, time + 1]
+  end
+
   defp reply do
     %{
       request: 7,

@@ -3,7 +3,7 @@ defmodule Situ.Studio.PipelineViewTest do
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
   alias Situ.Live.Test, as: Page
-  alias Situ.Studio.{Catalog, History, PipelineView, Source}
+  alias Situ.Studio.{Catalog, History, PipelineView, Recordings}
 
   defmodule Steps do
     use Situ.Pipeline
@@ -25,7 +25,7 @@ defmodule Situ.Studio.PipelineViewTest do
     pipeline = start_supervised!({Steps, []})
     id = "studio-#{System.unique_integer([:positive])}"
 
-    sources = %{"none" => {Source.History, history}}
+    sources = %{"none" => Recordings.History.wrap(history)}
 
     start_supervised!(
       {DynamicSupervisor, name: Catalog.watch_supervisor(id), strategy: :one_for_one}
@@ -172,7 +172,11 @@ defmodule Situ.Studio.PipelineViewTest do
     end
 
     id = "studio-#{System.unique_integer([:positive])}"
-    start_supervised!({Catalog, id: id, sources: %{"old" => {Source.History, history}}}, id: :old)
+
+    start_supervised!({Catalog, id: id, sources: %{"old" => Recordings.History.wrap(history)}},
+      id: :old
+    )
+
     page = page(id, "/p/old?sel=e1")
     Page.render(page)
     assert Page.text(page, ".topbar .state") == "completed"

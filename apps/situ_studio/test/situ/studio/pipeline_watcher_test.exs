@@ -2,7 +2,7 @@ defmodule Situ.Studio.PipelineWatcherTest do
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
 
-  alias Situ.Studio.{Source, PipelineWatcher}
+  alias Situ.Studio.{PipelineWatcher, StreamOverview, StreamReader, Recordings}
 
   setup do
     connector = Situ.Connector.new("in")
@@ -29,42 +29,42 @@ defmodule Situ.Studio.PipelineWatcherTest do
   end
 
   test "lists named streams, taps a requested one, and keeps its messages", context do
-    assert [{"Test", _}] = Source.Pipeline.list_running([context.pipeline])
-    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
-    {Source.Pipeline, watch} = source
-    {:ok, streams} = Source.call(source, :streams, [])
+    assert [{"Test", _}] = Recordings.Pipeline.list_running([context.pipeline])
+    {:ok, source} = Recordings.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    %{state: watch} = source
+    {:ok, streams} = StreamOverview.list_streams(source)
     assert %{shape: :signal} = Enum.find(streams, &(&1.name == "Doubled"))
     assert taps(context.pipeline) == []
-    {:ok, %{from: from}} = Source.call(source, :extent, [])
+    {:ok, %{from: from}} = StreamReader.fetch_extent(source)
     assert abs(from - Situ.Pipeline.now(context.pipeline)) < 5_000_000_000
 
-    assert :none = Source.call(source, :latest_at, ["Doubled", 100])
+    assert :none = StreamReader.latest_at(source, "Doubled", 100)
     assert ["Studio: Doubled"] = taps(context.pipeline)
 
     feed(context.connector, 1..10)
     assert eventually(fn -> match?({:ok, %{data: 20.0}}, latest(source, 100)) end)
     assert {:ok, %{data: 8.0}} = latest(source, 4)
-    assert {:ok, %{live: true, to: 10}} = Source.call(source, :extent, [])
+    assert {:ok, %{live: true, to: 10}} = StreamReader.fetch_extent(source)
 
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
     send(watch.pid, :sweep)
     :ets.delete(watch.uses, :streams)
-    assert {:ok, %{live: false, to: 10}} = Source.call(source, :extent, [])
+    assert {:ok, %{live: false, to: 10}} = StreamReader.fetch_extent(source)
     assert {:ok, %{data: 20.0}} = latest(source, 100)
-    assert [] = Source.Pipeline.list_running([context.pipeline])
+    assert [] = Recordings.Pipeline.list_running([context.pipeline])
   end
 
   test "releases a stream that was not requested for a while", context do
-    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
-    {_, watch} = source
-    :none = Source.call(source, :latest_at, ["Doubled", 100])
+    {:ok, source} = Recordings.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    %{state: watch} = source
+    :none = StreamReader.latest_at(source, "Doubled", 100)
     long_ago = System.monotonic_time(:millisecond) - 60_000
     :ets.update_element(watch.uses, "Doubled", {2, long_ago})
     send(watch.pid, :sweep)
     # The call returns after the sweep.
     %PipelineWatcher{} = PipelineWatcher.reader_handle(watch.pid)
     assert taps(context.pipeline) == []
-    :none = Source.call(source, :latest_at, ["Doubled", 100])
+    :none = StreamReader.latest_at(source, "Doubled", 100)
     assert ["Studio: Doubled"] = taps(context.pipeline)
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
@@ -80,8 +80,8 @@ defmodule Situ.Studio.PipelineWatcherTest do
       end
     end
 
-    {:ok, source} = Source.Pipeline.open([{"Part", find}], "Part", context.supervisor)
-    {_, watch} = source
+    {:ok, source} = Recordings.Pipeline.open([{"Part", find}], "Part", context.supervisor)
+    %{state: watch} = source
     :none = latest(source, 100)
     feed(context.connector, 1..10)
     assert eventually(fn -> match?({:ok, %{data: 20.0}}, latest(source, 100)) end)
@@ -92,17 +92,17 @@ defmodule Situ.Studio.PipelineWatcherTest do
 
     for _ <- 1..2 do
       :ets.delete(watch.uses, :streams)
-      assert {:ok, %{live: true, to: 10}} = Source.call(source, :extent, [])
+      assert {:ok, %{live: true, to: 10}} = StreamReader.fetch_extent(source)
       assert {:ok, %{data: 20.0}} = latest(source, 100)
-      assert {:ok, [_ | _], _} = Source.call(source, :series, ["Doubled", 0, 10, 1])
+      assert {:ok, [_ | _], _} = StreamOverview.read_series(source, "Doubled", 0, 10, 1)
       :counters.add(there, 1, 1)
     end
   end
 
   test "keeps a stream that a page shows, although no window is requested",
        context do
-    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
-    {_, watch} = source
+    {:ok, source} = Recordings.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    %{state: watch} = source
     open = %{"open" => [[1, %{"stream" => "Doubled", "viz" => "line"}]]}
     {_, session} = Situ.Studio.Asking.ask(Situ.Studio.DataSession.new(source), open)
     assert ["Studio: Doubled"] = taps(context.pipeline)
@@ -113,7 +113,7 @@ defmodule Situ.Studio.PipelineWatcherTest do
     %PipelineWatcher{} = PipelineWatcher.reader_handle(watch.pid)
     assert ["Studio: Doubled"] = taps(context.pipeline)
     # The same holds for the streams of a derived one.
-    derived = %{session | source: Source.DerivedStreams.wrap(source), channels: %{}}
+    derived = %{session | source: Recordings.DerivedStreams.wrap(source), channels: %{}}
     :ets.update_element(watch.uses, "Doubled", {2, long_ago})
     open = %{"open" => [[1, %{"stream" => "= Doubled + 1", "viz" => "line"}]]}
     Situ.Studio.Asking.ask(derived, open)
@@ -146,8 +146,8 @@ defmodule Situ.Studio.PipelineWatcherTest do
 
     find = fn -> with [{_, pid, _, _}] <- Supervisor.which_children(keeper), do: pid end
 
-    {:ok, source} = Source.Pipeline.open([{"again", find}], "again", context.supervisor)
-    {Source.Pipeline, watch} = source
+    {:ok, source} = Recordings.Pipeline.open([{"again", find}], "again", context.supervisor)
+    %{state: watch} = source
     session = Situ.Studio.DataSession.new(source)
 
     # The page sends this request for each frame: the window at the end of a line.
@@ -174,7 +174,7 @@ defmodule Situ.Studio.PipelineWatcherTest do
 
     assert eventually(fn ->
              is_pid(find.()) and find.() != before and
-               match?([{"again", _}], Source.Pipeline.list_running([{"again", find}]))
+               match?([{"again", _}], Recordings.Pipeline.list_running([{"again", find}]))
            end)
 
     # The next sweep releases the old tap, and the next request taps the new pipeline.
@@ -186,18 +186,21 @@ defmodule Situ.Studio.PipelineWatcherTest do
 
     # The ten earlier messages are included, and the gap between them.
     assert eventually(fn -> match?({21, _}, ask.(session, 101)) end)
-    assert {:ok, %{live: true, from: 1, to: 110}} = Source.call(source, :extent, [])
+    assert {:ok, %{live: true, from: 1, to: 110}} = StreamReader.fetch_extent(source)
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
   test "returns specific errors for an unknown stream and a stopped pipeline", context do
-    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
-    assert {:error, %Situ.Error{}} = Source.call(source, :latest_at, ["Nothing", 1])
-    assert {:error, %{code: :not_running}} = Source.Pipeline.open([], "Test", context.supervisor)
+    {:ok, source} = Recordings.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    assert {:error, %Situ.Error{}} = StreamReader.latest_at(source, "Nothing", 1)
+
+    assert {:error, %{code: :not_running}} =
+             Recordings.Pipeline.open([], "Test", context.supervisor)
+
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
-  defp latest(source, time), do: Source.call(source, :latest_at, ["Doubled", time])
+  defp latest(source, time), do: StreamReader.latest_at(source, "Doubled", time)
 
   defp taps(pipeline) do
     for %{kind: :tap, path: path, state: :running} <- Situ.Pipeline.info(pipeline).nodes, do: path

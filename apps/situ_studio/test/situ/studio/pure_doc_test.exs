@@ -47,7 +47,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Annotations.AgreementTable
   doctest Situ.Studio.IntervalSearch
   doctest Situ.Studio.TableExport
-  doctest Situ.Studio.Source.Session
+  doctest Situ.Studio.Recordings.Session
   doctest Situ.Studio.Datasets.DatasetRef
   doctest Situ.Studio.Datasets.Summary
   doctest Situ.Studio.Datasets.FolderImport

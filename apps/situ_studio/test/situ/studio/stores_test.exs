@@ -107,10 +107,14 @@ defmodule Situ.Studio.StoresTest do
     assert {:ok, %{kind: :elsewhere}, source} =
              Situ.Studio.Catalog.open_source("elsewhere", "lobby")
 
-    call = &Situ.Studio.Source.call(source, &1, &2)
-    assert {:ok, %{from: 1_000_000, to: 100_000_000, live: false}} = call.(:extent, [])
-    assert {:ok, [%{name: "n", count: 100}]} = call.(:streams, [])
-    assert {:ok, points, _} = call.(:series, ["n", 0, 100_000_000, 1_000_000])
+    assert {:ok, %{from: 1_000_000, to: 100_000_000, live: false}} =
+             Situ.Studio.StreamReader.fetch_extent(source)
+
+    assert {:ok, [%{name: "n", count: 100}]} = Situ.Studio.StreamOverview.list_streams(source)
+
+    assert {:ok, points, _} =
+             Situ.Studio.StreamOverview.read_series(source, "n", 0, 100_000_000, 1_000_000)
+
     assert length(points) > 50
     Situ.Link.Server.close(server)
   end

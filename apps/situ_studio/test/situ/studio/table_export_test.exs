@@ -3,7 +3,7 @@ defmodule Situ.Studio.TableExportTest do
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
-  alias Situ.Studio.{History, Source, TableExport}
+  alias Situ.Studio.{History, TableExport, Recordings}
 
   defp source(streams) do
     history = History.new(live: false, seconds: 3_600)
@@ -12,7 +12,7 @@ defmodule Situ.Studio.TableExportTest do
       History.put(history, name, %Message{data: data, originating_time: time}, 8)
     end
 
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
 
   defp csv(source, streams, from, to),

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.ThumbnailTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Studio.{Asking, History, Source, Thumbnail}
+  alias Situ.Studio.{Asking, History, Thumbnail, Recordings}
 
   defp drawn(rows) do
     {:ok, "image/svg+xml", svg} = Thumbnail.render_thumbnail(Asking.source("Only", rows))
@@ -21,7 +21,7 @@ defmodule Situ.Studio.ThumbnailTest do
 
   test "draws a single number as a level line, and nothing for an empty stream" do
     assert [[{0.0, 86.0, 86.0}, {160.0, 86.0, 86.0}]] = runs(drawn([{5, 1.5}]))
-    assert Thumbnail.render_thumbnail({Source.History, History.new(live: false)}) == :none
+    assert Thumbnail.render_thumbnail(Recordings.History.wrap(History.new(live: false))) == :none
   end
 
   test "draws nothing across a gap of hours" do

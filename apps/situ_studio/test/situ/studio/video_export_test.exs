@@ -5,7 +5,7 @@ defmodule Situ.Studio.VideoExportTest do
 
   alias Situ.{AudioBuffer, AudioFormat, Image, Message, Rect}
   alias Situ.Media.{Decoder, FileInfo}
-  alias Situ.Studio.{VideoExport, History, Source}
+  alias Situ.Studio.{VideoExport, History, Recordings}
 
   @ms 1_000_000
   @s 1_000_000_000
@@ -24,7 +24,7 @@ defmodule Situ.Studio.VideoExportTest do
     format = AudioFormat.pcm(16_000, 1)
     data = :binary.copy(<<1_000::little-16>>, 8_000)
     for i <- 1..8, do: put.("Mic", i * 500 * @ms, %AudioBuffer{format: format, data: data})
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
 
   @tag :tmp_dir
@@ -66,7 +66,7 @@ defmodule Situ.Studio.VideoExportTest do
     for {flip, bright, dark} <- [{false, 8, 56}, {true, 56, 8}] do
       film = %VideoExport{pictures: "Camera", from: 0, to: @s, masks: masks, flip: flip}
       path = Path.join(dir, "#{flip}.mp4")
-      assert :ok = VideoExport.write_video(film, {Source.History, history}, path, & &1)
+      assert :ok = VideoExport.write_video(film, Recordings.History.wrap(history), path, & &1)
       {:ok, decoder} = Decoder.open(path, audio: false)
       assert {:video, _, shown, decoder} = Decoder.next_item(decoder)
       Decoder.close(decoder)
@@ -80,7 +80,7 @@ defmodule Situ.Studio.VideoExportTest do
   test "returns an error without images", %{tmp_dir: dir} do
     film = %VideoExport{pictures: "Camera", from: 60 * @s, to: 61 * @s}
     history = History.new(live: false)
-    source = {Source.History, history}
+    source = Recordings.History.wrap(history)
 
     assert {:error, error} =
              VideoExport.write_video(film, source, Path.join(dir, "part.mp4"), & &1)

@@ -1,18 +1,6 @@
 defmodule Situ.Image.Color do
-  @moduledoc """
-  Colours for drawing and filling.
-
-  A colour is a list of channel values in the image's memory order, one number for all channels, a name, or
-  `{r, g, b}` / `{r, g, b, a}` with values of 0..255. Tuples and names work with every format: they are converted to
-  grey for grey images, and widened for 16-bit channels.
-
-      iex> Situ.Image.Color.channel_values(:bgr24, :red)
-      [0, 0, 255]
-      iex> Situ.Image.Color.channel_values(:gray8, {255, 255, 255})
-      [254]
-      iex> Situ.Image.Color.channel_values(:rgba64, {255, 0, 0, 128})
-      [65535, 0, 0, 32896]
-  """
+  @moduledoc false
+  # Converts colours to the channels of a pixel format. `Situ.Image` documents the kinds of colours.
   alias Situ.Image.Format
 
   @names [
@@ -35,7 +23,17 @@ defmodule Situ.Image.Color do
           | {byte(), byte(), byte(), byte()}
           | atom()
 
-  @doc "Returns the channel values of a colour in a format; raises `ArgumentError` if it is not a colour."
+  @doc """
+  Returns the channel values of a colour in a format; raises `ArgumentError` if it is not a
+  colour.
+
+      iex> Situ.Image.Color.channel_values(:bgr24, :red)
+      [0, 0, 255]
+      iex> Situ.Image.Color.channel_values(:gray8, {255, 255, 255})
+      [254]
+      iex> Situ.Image.Color.channel_values(:rgba64, {255, 0, 0, 128})
+      [65535, 0, 0, 32896]
+  """
   @spec channel_values(Format.t(), t()) :: [non_neg_integer()]
   def channel_values(format, color) when is_list(color) or is_integer(color),
     do: Format.unpack_pixel(format, Format.pack_pixel!(format, color))

@@ -1,12 +1,6 @@
 defmodule Situ.Image.Format do
-  @moduledoc """
-  Pixel formats and their sizes. `Situ.Image` has the table of formats.
-
-      iex> Situ.Image.Format.bytes_per_pixel(:bgr24)
-      3
-      iex> Situ.Image.Format.channels(:rgba64)
-      [:red, :green, :blue, :alpha]
-  """
+  @moduledoc false
+  # Pixel formats and their sizes. `Situ.Image` has the table of formats.
 
   @type t :: :gray8 | :gray16 | :bgr24 | :rgb24 | :bgrx32 | :bgra32 | :rgba32 | :rgba64
 
@@ -26,7 +20,12 @@ defmodule Situ.Image.Format do
   @spec list_all() :: [t()]
   def list_all, do: unquote(Enum.map(@table, &elem(&1, 0)))
 
-  @doc "Returns the number of bytes in one pixel."
+  @doc """
+  Returns the number of bytes in one pixel.
+
+      iex> Situ.Image.Format.bytes_per_pixel(:bgr24)
+      3
+  """
   @spec bytes_per_pixel(t()) :: pos_integer()
   for {format, _code, bits, channels} <- @table do
     def bytes_per_pixel(unquote(format)), do: unquote(div(bits * length(channels), 8))
@@ -38,7 +37,12 @@ defmodule Situ.Image.Format do
     def bits_per_channel(unquote(format)), do: unquote(bits)
   end
 
-  @doc "Lists the channels in memory order."
+  @doc """
+  Lists the channels in memory order.
+
+      iex> Situ.Image.Format.channels(:rgba64)
+      [:red, :green, :blue, :alpha]
+  """
   @spec channels(t()) :: [atom()]
   for {format, _code, _bits, channels} <- @table do
     def channels(unquote(format)), do: unquote(channels)

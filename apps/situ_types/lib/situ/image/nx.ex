@@ -1,12 +1,12 @@
 defmodule Situ.Image.Nx do
   @moduledoc """
-  Converts images and audio to Nx tensors and back. Nx is an optional dependency that is looked up at run time;
-  without it, functions return the error `:nx_missing`.
+  Converts images and audio to Nx tensors and back.
 
       {:ok, tensor} = Situ.Image.Nx.to_nx(image)          # u8[height][width][channels], no copy without padding
       {:ok, image} = Situ.Image.Nx.to_image(tensor, :rgb24)
       {:ok, samples} = Situ.Image.Nx.to_nx(buffer)        # s16[frames][channels]
 
+  Nx is an optional dependency that is looked up at run time; without it, functions return the error `:nx_missing`.
   Tensors use the machine's byte order. All machines that Situ supports are little-endian, as are Situ's structs.
   """
   @compile {:no_warn_undefined, [Nx]}

@@ -20,8 +20,8 @@ defmodule Situ.Bridge.Foxglove.Client do
 
     state = %{
       tcp: nil,
-      buffer: "",
-      partial: nil,
+      received_bytes: "",
+      partial_message: nil,
       session: nil,
       deadline: nil,
       message_ms: @message_ms
@@ -37,17 +37,17 @@ defmodule Situ.Bridge.Foxglove.Client do
   end
 
   def handle_info({:tcp, _, bytes}, %{session: nil} = state) do
-    buffer = state.buffer <> bytes
+    received_bytes = state.received_bytes <> bytes
 
-    case Handshake.admit_client(buffer,
+    case Handshake.admit_client(received_bytes,
            origins: state.origins,
            protocols: Session.supported_protocols()
          ) do
       {:ok, response, protocol, _path, rest} ->
-        open_session(response, protocol, %{state | buffer: rest})
+        open_session(response, protocol, %{state | received_bytes: rest})
 
       :more ->
-        resume_reading(%{state | buffer: buffer})
+        resume_reading(%{state | received_bytes: received_bytes})
 
       {:refuse, response} ->
         send_bytes(response, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
@@ -55,9 +55,17 @@ defmodule Situ.Bridge.Foxglove.Client do
   end
 
   def handle_info({:tcp, _, bytes}, state) do
-    case Frames.split_messages(state.buffer <> bytes, state.partial, true, @max_message) do
-      {:ok, events, rest, partial} ->
-        handle_events(events, limit_message(%{state | buffer: rest, partial: partial}, events))
+    case Frames.split_messages(
+           state.received_bytes <> bytes,
+           state.partial_message,
+           true,
+           @max_message
+         ) do
+      {:ok, events, rest, partial_message} ->
+        handle_events(
+          events,
+          limit_message(%{state | received_bytes: rest, partial_message: partial_message}, events)
+        )
 
       {:error, why} ->
         {:stop, {:shutdown, why}, state}
@@ -84,7 +92,9 @@ defmodule Situ.Bridge.Foxglove.Client do
   end
 
   # The time limit for a message starts at its first byte.
-  defp limit_message(%{buffer: "", partial: nil} = state, _events), do: %{state | deadline: nil}
+  defp limit_message(%{received_bytes: "", partial_message: nil} = state, _events),
+    do: %{state | deadline: nil}
+
   defp limit_message(%{deadline: deadline} = state, []) when deadline != nil, do: state
 
   defp limit_message(state, _events),

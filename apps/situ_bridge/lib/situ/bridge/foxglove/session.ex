@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     :sdk?,
     :refreshed_at,
     subscriptions: %{},
-    announced: MapSet.new(),
+    advertised_ids: MapSet.new(),
     watched_names: MapSet.new(),
     warned_ids: MapSet.new()
   ]
@@ -69,16 +69,16 @@ defmodule Situ.Bridge.Foxglove.Session do
   defp advertise_channels(session) do
     new =
       for {id, {_, channel}} <- session.source.channels,
-          id not in session.announced,
+          id not in session.advertised_ids,
           do: {id, channel}
 
-    announced = Enum.into(new, session.announced, &elem(&1, 0))
+    advertised_ids = Enum.into(new, session.advertised_ids, &elem(&1, 0))
 
     channels =
       for {id, channel} <- Enum.sort(new), do: StoreChannels.describe_channel(id, channel)
 
     {if(new == [], do: [], else: [Wire.encode_op("advertise", channels: channels)]),
-     %{session | announced: announced}}
+     %{session | advertised_ids: advertised_ids}}
   end
 
   @doc "Handles a frame from the client."

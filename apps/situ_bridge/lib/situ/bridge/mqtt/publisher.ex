@@ -20,10 +20,10 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     :logged_error,
     up?: false,
     was_up?: false,
-    buffer: "",
+    received_bytes: "",
     wait_ms: @min_wait_ms,
     id: 0,
-    unconfirmed: :queue.new(),
+    unconfirmed_messages: :queue.new(),
     count: 0,
     dropped: 0
   ]
@@ -68,8 +68,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
       opts[:qos] == 1 ->
         id = rem(state.id, @max_id) + 1
-        queue = :queue.in({id, payload}, state.unconfirmed)
-        state = %{state | id: id, count: state.count + 1, unconfirmed: queue}
+        queue = :queue.in({id, payload}, state.unconfirmed_messages)
+        state = %{state | id: id, count: state.count + 1, unconfirmed_messages: queue}
 
         {:reply, :ok,
          if(state.up?,
@@ -104,7 +104,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     with {:ok, tcp} <-
            ClientSocket.connect(opts[:host], opts[:port], opts[:tls], SendQueue.socket_options()),
          :ok <- ClientSocket.send_bytes(tcp, Wire.encode_connect(opts)) do
-      {:noreply, %{state | tcp: tcp, buffer: ""}}
+      {:noreply, %{state | tcp: tcp, received_bytes: ""}}
     else
       {:error, reason} -> {:noreply, schedule_reconnect(state, reason)}
     end
@@ -122,7 +122,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_info(message, state) do
     case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} ->
-        state = handle_packets(%{state | buffer: state.buffer <> bytes})
+        state = handle_packets(%{state | received_bytes: state.received_bytes <> bytes})
         if state.tcp, do: ClientSocket.activate_once(state.tcp)
         {:noreply, state}
 
@@ -137,16 +137,21 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp handle_packets(%{tcp: nil} = state), do: state
 
   defp handle_packets(state) do
-    case Wire.parse_packet(state.buffer, @max_packet) do
-      {:ok, packet, rest} -> packet |> handle_packet(%{state | buffer: rest}) |> handle_packets()
-      :more -> state
-      {:error, why} -> schedule_reconnect(state, why)
+    case Wire.parse_packet(state.received_bytes, @max_packet) do
+      {:ok, packet, rest} ->
+        packet |> handle_packet(%{state | received_bytes: rest}) |> handle_packets()
+
+      :more ->
+        state
+
+      {:error, why} ->
+        schedule_reconnect(state, why)
     end
   end
 
   defp handle_packet({:connack, 0}, state) do
     state = %{state | up?: true, was_up?: true, wait_ms: @min_wait_ms, logged_error: nil}
-    messages = :queue.to_list(state.unconfirmed)
+    messages = :queue.to_list(state.unconfirmed_messages)
     send_packet(Enum.map(messages, &encode_publish(&1, true, state.opts)), state)
   end
 
@@ -155,13 +160,17 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # A broker nearly always acknowledges messages in order.
   defp handle_packet({:puback, id}, state) do
-    case :queue.peek(state.unconfirmed) do
+    case :queue.peek(state.unconfirmed_messages) do
       {:value, {^id, _}} ->
-        %{state | count: state.count - 1, unconfirmed: :queue.drop(state.unconfirmed)}
+        %{
+          state
+          | count: state.count - 1,
+            unconfirmed_messages: :queue.drop(state.unconfirmed_messages)
+        }
 
       _ ->
-        queue = :queue.filter(fn {queued, _} -> queued != id end, state.unconfirmed)
-        %{state | count: :queue.len(queue), unconfirmed: queue}
+        queue = :queue.filter(fn {queued, _} -> queued != id end, state.unconfirmed_messages)
+        %{state | count: :queue.len(queue), unconfirmed_messages: queue}
     end
   end
 

@@ -18,7 +18,14 @@ defmodule Situ.Bridge.Net.Connection do
     Process.send_after(self(), :too_slow, @admission_ms)
 
     {:ok,
-     %{tcp: nil, server: server, outbox: outbox, protocol: protocol, buffer: "", open?: false}}
+     %{
+       tcp: nil,
+       server: server,
+       outbox: outbox,
+       protocol: protocol,
+       received_bytes: "",
+       open?: false
+     }}
   end
 
   @impl true
@@ -35,15 +42,15 @@ defmodule Situ.Bridge.Net.Connection do
   end
 
   def handle_info({:tcp, _tcp, bytes}, state)
-      when byte_size(bytes) + byte_size(state.buffer) > @max_bytes,
+      when byte_size(bytes) + byte_size(state.received_bytes) > @max_bytes,
       do: {:stop, {:shutdown, :noise}, state}
 
   def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
-    do: admit_client(%{state | buffer: state.buffer <> bytes})
+    do: admit_client(%{state | received_bytes: state.received_bytes <> bytes})
 
   def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
-    case module.handle_bytes(state.buffer <> bytes, arg) do
-      {:ok, reply, rest} -> send_reply(reply, %{state | buffer: rest})
+    case module.handle_bytes(state.received_bytes <> bytes, arg) do
+      {:ok, reply, rest} -> send_reply(reply, %{state | received_bytes: rest})
       :close -> {:stop, {:shutdown, :closed}, state}
     end
   end
@@ -54,9 +61,9 @@ defmodule Situ.Bridge.Net.Connection do
   def handle_info(:too_slow, state), do: {:stop, {:shutdown, :too_slow}, state}
 
   defp admit_client(%{protocol: {module, arg}} = state) do
-    case module.admit(state.buffer, arg) do
+    case module.admit(state.received_bytes, arg) do
       {:ok, reply, rest} ->
-        with {:noreply, state} <- send_reply(reply, %{state | buffer: rest, open?: true}) do
+        with {:noreply, state} <- send_reply(reply, %{state | received_bytes: rest, open?: true}) do
           send(state.server, {:open, self()})
           {:noreply, state}
         end

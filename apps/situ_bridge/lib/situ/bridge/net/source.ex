@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Net.Source do
        opts: opts,
        tcp: nil,
        protocol_state: nil,
-       buffer: %ReceiveBuffer{},
+       receive_buffer: %ReceiveBuffer{},
        decoder: PayloadDecoder.new(opts),
        wait_ms: @min_wait_ms,
        logged_error: nil,
@@ -63,7 +63,7 @@ defmodule Situ.Bridge.Net.Source do
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
-      {[], %{state | tcp: tcp, protocol_state: protocol_state, buffer: %ReceiveBuffer{}}}
+      {[], %{state | tcp: tcp, protocol_state: protocol_state, receive_buffer: %ReceiveBuffer{}}}
     else
       {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
@@ -79,16 +79,16 @@ defmodule Situ.Bridge.Net.Source do
 
   defp handle_bytes(bytes, context, %{opts: opts} = state) do
     case ReceiveBuffer.add_bytes(
-           state.buffer,
+           state.receive_buffer,
            bytes,
            missing_bytes(elem(opts[:protocol], 0), state.protocol_state)
          ) do
-      {:ok, bytes, buffer} ->
-        read_payloads(bytes, context, %{state | buffer: buffer})
+      {:ok, bytes, receive_buffer} ->
+        read_payloads(bytes, context, %{state | receive_buffer: receive_buffer})
 
-      {:more, buffer} ->
+      {:more, receive_buffer} ->
         ClientSocket.activate_once(state.tcp)
-        {[], %{state | buffer: buffer}}
+        {[], %{state | receive_buffer: receive_buffer}}
     end
   end
 

@@ -30,7 +30,8 @@ defmodule Situ.Bridge.Ros.Bag do
 
   #{Situ.Options.docs(@schema)}
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   @max_bytes 16 * 1024 * 1024
 

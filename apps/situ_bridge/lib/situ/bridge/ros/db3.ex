@@ -15,7 +15,8 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   #{Situ.Options.docs(@schema)}
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.Bridge.Ros.Db3.Sqlite
   alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
   alias Situ.Message

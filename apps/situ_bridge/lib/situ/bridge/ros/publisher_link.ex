@@ -80,7 +80,7 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   # A publisher that leaves normally closes the connection. If it does not, the link ends when it is silent, unless this
   # side has stopped reading.
   defp schedule_silence_check(state) do
-    paused? = :atomics.get(state.unread, 1) >= state.high_water_mark
+    paused? = :atomics.get(state.unread_counter, 1) >= state.high_water_mark
     packet_count = if paused?, do: :paused, else: state.packet_count
     Process.send_after(self(), {:check, packet_count}, @silence_ms)
     state
@@ -99,14 +99,14 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   defp hand_over(state, []), do: state
 
   defp hand_over(state, payloads) do
-    :atomics.add(state.unread, 1, length(payloads))
+    :atomics.add(state.unread_counter, 1, length(payloads))
     send(state.owner, {:ros, state.wire.peer_fields, payloads})
     send(state.node, {:received, state.uri})
     state
   end
 
   defp arm_socket(state) do
-    if :atomics.get(state.unread, 1) < state.high_water_mark,
+    if :atomics.get(state.unread_counter, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 

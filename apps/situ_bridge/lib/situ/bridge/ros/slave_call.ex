@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Ros.SlaveCall do
   def start_link(fun), do: GenServer.start_link(__MODULE__, fun)
 
   @impl true
-  def init(fun), do: {:ok, %{fun: fun, buffer: ""}, @timeout_ms}
+  def init(fun), do: {:ok, %{fun: fun, received_bytes: ""}, @timeout_ms}
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
@@ -22,16 +22,16 @@ defmodule Situ.Bridge.Ros.SlaveCall do
   end
 
   def handle_info({:tcp, tcp, bytes}, state) do
-    buffer = state.buffer <> bytes
+    received_bytes = state.received_bytes <> bytes
 
-    case parse_body(buffer) do
+    case parse_body(received_bytes) do
       {:ok, body} ->
         :gen_tcp.send(tcp, build_reply(body, state.fun))
         {:stop, :normal, state}
 
-      :more when byte_size(buffer) <= @max_bytes ->
+      :more when byte_size(received_bytes) <= @max_bytes ->
         :inet.setopts(tcp, active: :once)
-        {:noreply, %{state | buffer: buffer}, @timeout_ms}
+        {:noreply, %{state | received_bytes: received_bytes}, @timeout_ms}
 
       _ ->
         {:stop, :normal, state}
@@ -48,8 +48,8 @@ defmodule Situ.Bridge.Ros.SlaveCall do
       {:ok, "ab"}
   """
   @spec parse_body(binary()) :: {:ok, binary()} | :more | :error
-  def parse_body(buffer) do
-    with [head, rest] <- :binary.split(buffer, "\r\n\r\n"),
+  def parse_body(received_bytes) do
+    with [head, rest] <- :binary.split(received_bytes, "\r\n\r\n"),
          [_ | lines] <- String.split(head, "\r\n"),
          {n, ""} when n >= 0 <-
            Integer.parse(Handshake.parse_headers(lines)["content-length"] || "") do

@@ -66,8 +66,8 @@ defmodule Situ.Bridge.Ros.Source do
        node: nil,
        clock_node: nil,
        clock: nil,
-       unread: :atomics.new(1, []),
-       clock_unread: :atomics.new(1, []),
+       unread_counter: :atomics.new(1, []),
+       clock_unread_counter: :atomics.new(1, []),
        decoder: decoder,
        definitions: %{},
        expected: nil
@@ -80,18 +80,19 @@ defmodule Situ.Bridge.Ros.Source do
     type = if definition, do: definition.name, else: "*"
 
     sum = if definition, do: Definition.md5(definition), else: "*"
-    node = start_node!(opts, opts[:topic], type, sum, state.unread)
+    node = start_node!(opts, opts[:topic], type, sum, state.unread_counter)
 
     clock =
-      if opts[:sim_time], do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_unread)
+      if opts[:sim_time],
+        do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_unread_counter)
 
     {[{:complete, :infinity}], %{state | node: node, clock_node: clock, expected: definition}}
   end
 
-  defp start_node!(opts, topic, type, sum, unread) do
+  defp start_node!(opts, topic, type, sum, unread_counter) do
     link = %{
       md5sum: sum,
-      unread: unread,
+      unread_counter: unread_counter,
       high_water_mark: opts[:high_water_mark],
       most: opts[:most]
     }
@@ -113,7 +114,7 @@ defmodule Situ.Bridge.Ros.Source do
   @impl true
   def handle_info({:ros, %{"type" => @clock}, payloads}, _context, %{clock_node: node} = state)
       when node != nil do
-    :atomics.sub(state.clock_unread, 1, length(payloads))
+    :atomics.sub(state.clock_unread_counter, 1, length(payloads))
 
     case List.last(payloads) do
       <<s::little-32, ns::little-32>> -> {[], %{state | clock: s * 1_000_000_000 + ns}}
@@ -122,7 +123,7 @@ defmodule Situ.Bridge.Ros.Source do
   end
 
   def handle_info({:ros, peer_fields, payloads}, context, state) do
-    :atomics.sub(state.unread, 1, length(payloads))
+    :atomics.sub(state.unread_counter, 1, length(payloads))
     {definition, state} = ensure_definition(peer_fields, state)
     now = if state.opts[:sim_time], do: state.clock, else: context.now
     results = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))

@@ -1,8 +1,9 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
   # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which holds the Zenoh session, and restarts
-  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `unread` counts
-  # the samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
+  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`.
+  # `unread_counter` counts the samples that the owner has not yet handled; samples beyond the high-water mark are
+  # dropped.
   use GenServer, restart: :temporary
   require Logger
   alias Situ.Bridge.Net.Drain
@@ -20,8 +21,8 @@ defmodule Situ.Bridge.Ros2.Session do
 
   @doc """
   Starts a session for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or
-  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber, `unread`. Error:
-  `:no_zenoh_port`.
+  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber,
+  `unread_counter`. Error: `:no_zenoh_port`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
@@ -116,10 +117,10 @@ defmodule Situ.Bridge.Ros2.Session do
   end
 
   defp handle_frame({:sample, _id, key, attachment, payload}, state) do
-    unread = state.opts[:unread]
+    unread_counter = state.opts[:unread_counter]
 
-    if :atomics.get(unread, 1) < state.opts[:high_water_mark] do
-      :atomics.add(unread, 1, 1)
+    if :atomics.get(unread_counter, 1) < state.opts[:high_water_mark] do
+      :atomics.add(unread_counter, 1, 1)
       send(state.owner, {:ros2, {key, attachment, payload}})
       state
     else

@@ -61,14 +61,25 @@ defmodule Situ.Bridge.Ros2.Source do
     decoder = PayloadDecoder.new(times: opts[:times], format: :ros)
 
     {:ok,
-     %{opts: opts, session: nil, unread: :atomics.new(1, []), decoder: decoder, definitions: %{}}}
+     %{
+       opts: opts,
+       session: nil,
+       unread_counter: :atomics.new(1, []),
+       decoder: decoder,
+       definitions: %{}
+     }}
   end
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
     {definitions, type_opts} = expected_type(opts)
 
-    session_opts = [role: :subscriber, unread: state.unread, node: Zenoh.node_name(opts)]
+    session_opts = [
+      role: :subscriber,
+      unread_counter: state.unread_counter,
+      node: Zenoh.node_name(opts)
+    ]
+
     session_opts = [depth: latch_depth(opts)] ++ session_opts ++ type_opts
 
     session_opts =
@@ -110,7 +121,7 @@ defmodule Situ.Bridge.Ros2.Source do
 
   @impl true
   def handle_info({:ros2, {key, attachment, payload}}, context, state) do
-    :atomics.sub(state.unread, 1, 1)
+    :atomics.sub(state.unread_counter, 1, 1)
     {definition, state} = ensure_definition(Keys.parse_type(key), state)
 
     result =

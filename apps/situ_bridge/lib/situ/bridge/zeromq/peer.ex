@@ -86,7 +86,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   defp arm_socket(%{tcp: nil} = state), do: state
 
   defp arm_socket(state) do
-    if :atomics.get(state.unread, 1) < state.high_water_mark,
+    if :atomics.get(state.unread_counter, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 
@@ -136,7 +136,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
           do: send(state.socket, {:peer, self(), {kind, prefix}})
 
       if messages != [] do
-        :atomics.add(state.unread, 1, length(messages))
+        :atomics.add(state.unread_counter, 1, length(messages))
         send(state.owner, {:zeromq, messages})
       end
 

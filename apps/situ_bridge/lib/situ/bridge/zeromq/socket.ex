@@ -20,12 +20,12 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     :listener,
     :acceptor,
     :opts,
-    :unread,
+    :unread_counter,
     peers: %{},
     wait_ms: @min_wait_ms,
     dropped: 0,
     turn: 0,
-    logged_reason: nil
+    logged_error: nil
   ]
 
   @doc "Opens a socket that listens or connects. Errors: `:bad_address`, `:address_in_use`."
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def subtract_read(socket_state, n), do: :atomics.sub(socket_state, 1, n)
 
   @doc "Returns the counter of unread messages, which `subtract_read/2` decrements."
-  def unread_counter(socket), do: GenServer.call(socket, :unread)
+  def unread_counter(socket), do: GenServer.call(socket, :unread_counter)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
   @impl PeerSender
@@ -99,7 +99,9 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def init(args) do
     Process.flag(:trap_exit, true)
     bind? = args.listener != nil
-    {:ok, struct!(__MODULE__, Map.merge(args, %{bind?: bind?, unread: :atomics.new(1, [])}))}
+
+    {:ok,
+     struct!(__MODULE__, Map.merge(args, %{bind?: bind?, unread_counter: :atomics.new(1, [])}))}
   end
 
   @impl true
@@ -110,7 +112,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     {:reply, pid, state}
   end
 
-  def handle_call(:unread, _from, state), do: {:reply, state.unread, state}
+  def handle_call(:unread_counter, _from, state), do: {:reply, state.unread_counter, state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
   def handle_call(:ready, _from, %{type: :pub} = state),
@@ -172,7 +174,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     do:
       {:noreply,
        update_peer(
-         %{state | wait_ms: @min_wait_ms, logged_reason: nil},
+         %{state | wait_ms: @min_wait_ms, logged_error: nil},
          pid,
          &%{&1 | open?: true}
        )}
@@ -211,13 +213,13 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   # A repeated error is logged once, not at every attempt.
   defp report_failure(state, {:shutdown, {kind, _} = reason})
        when kind in [:refused, :unreachable] do
-    if state.logged_reason != reason,
+    if state.logged_error != reason,
       do:
         Logger.warning(
           "ZeroMQ #{state.type} at #{elem(state.address, 0)}:#{elem(state.address, 1)}: #{inspect(reason)}"
         )
 
-    %{state | logged_reason: reason}
+    %{state | logged_error: reason}
   end
 
   defp report_failure(state, _reason), do: state
@@ -237,7 +239,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
         high_water_mark: state.opts[:high_water_mark],
         max_bytes: state.opts[:most],
         send_queue: send_queue,
-        unread: state.unread
+        unread_counter: state.unread_counter
       )
 
     {pid,

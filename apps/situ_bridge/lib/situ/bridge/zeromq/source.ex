@@ -41,7 +41,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: opts, socket: nil, unread: nil, decoder: PayloadDecoder.new(opts)}}
+    do: {:ok, %{opts: opts, socket: nil, unread_counter: nil, decoder: PayloadDecoder.new(opts)}}
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
           do: send(opts[:listening], {:listening, Socket.port(socket)})
 
         {[{:complete, :infinity}],
-         %{state | socket: socket, unread: Socket.unread_counter(socket)}}
+         %{state | socket: socket, unread_counter: Socket.unread_counter(socket)}}
 
       {:error, error} ->
         raise error
@@ -63,7 +63,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def handle_info({:zeromq, messages}, context, state) do
-    Socket.subtract_read(state.unread, length(messages))
+    Socket.subtract_read(state.unread_counter, length(messages))
     payloads = Enum.flat_map(messages, &take_payload(&1, state.opts))
     {actions, decoder} = PayloadDecoder.take_payloads(state.decoder, payloads, context.now)
     {actions, %{state | decoder: decoder}}

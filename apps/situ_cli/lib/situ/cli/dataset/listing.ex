@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Dataset.Listing do
-  @moduledoc "Lists the contents of a dataset or of one session, as text or (`--json`) as JSON."
+  @moduledoc false
+  # Lists the contents of a dataset or of one session, as text or (`--json`) as JSON.
   alias Situ.CLI.Output
   alias Situ.Dataset
   alias Situ.Dataset.{OpenSession, Partition, Session, Summary}

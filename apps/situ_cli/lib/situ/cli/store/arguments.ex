@@ -94,7 +94,7 @@ defmodule Situ.CLI.Store.Arguments do
   end
 
   @doc "Parses `--set` and `--delete`, groups them by stream, and converts values to the types of this store's streams."
-  @spec parse_edits!(Store.Handle.t(), keyword()) :: %{String.t() => [tuple()]}
+  @spec parse_edits!(Store.t(), keyword()) :: %{String.t() => [tuple()]}
   def parse_edits!(store, opts) do
     sets = for text <- opts[:set], do: parse_upsert!(store, text)
     deletes = for text <- opts[:delete], do: parse_deletion!(store, text)
@@ -188,7 +188,7 @@ defmodule Situ.CLI.Store.Arguments do
   end
 
   @doc "Returns the streams that `--stream` and `--exclude` select (default: all). Raises if a name matches no stream."
-  @spec select_streams!(Store.Handle.t(), keyword()) :: [Store.StreamInfo.t()]
+  @spec select_streams!(Store.t(), keyword()) :: [Store.StreamInfo.t()]
   def select_streams!(store, opts) do
     all = Store.streams(store)
 

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Store.Attachments do
-  @moduledoc "`situ store attachments`: lists and extracts the attachments of an MCAP file."
+  @moduledoc false
+  # `situ store attachments`: lists and extracts the attachments of an MCAP file.
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Mcap
   alias Situ.CLI.{Option, Output, Recording, Verb}

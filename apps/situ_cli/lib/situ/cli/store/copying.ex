@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Copying do
-  @moduledoc """
-  The verbs of `situ store` that create new recordings from others: copy, crop, concat, split, remove, edit.
-  """
+  @moduledoc false
+  # The verbs of `situ store` that create new recordings from others: copy, crop, concat, split,
+  # remove, edit.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Export}

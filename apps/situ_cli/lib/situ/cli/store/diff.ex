@@ -5,7 +5,7 @@ defmodule Situ.CLI.Store.Diff do
   alias Situ.Store
 
   @doc "Returns the differences of each stream. `envelopes: true` also compares creation times and sequence numbers."
-  @spec compare_stores(Store.Handle.t(), Store.Handle.t(), keyword()) :: [map()]
+  @spec compare_stores(Store.t(), Store.t(), keyword()) :: [map()]
   def compare_stores(a, b, opts) do
     left = Map.new(Store.streams(a), &{&1.name, &1})
     right = Map.new(Store.streams(b), &{&1.name, &1})

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Store.Exchange do
-  @moduledoc "The verbs of `situ store` that exchange messages with running programs: send and record."
+  @moduledoc false
+  # The verbs of `situ store` that exchange messages with running programs: send and record.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Transport}
@@ -118,10 +119,10 @@ defmodule Situ.CLI.Store.Exchange do
     case Pipeline.run(build, pipeline: [replay: [speed: speed] ++ interval]) do
       {:ok, _} ->
         names = Enum.map(streams, & &1.name)
-        told = %{streams: names, messages: :counters.get(sent, 1), system: opts[:system]}
+        summary = %{streams: names, messages: :counters.get(sent, 1), system: opts[:system]}
 
         if opts[:json],
-          do: Output.print_json(Map.put(told, :address, Transport.resolve_address(opts)))
+          do: Output.print_json(Map.put(summary, :address, Transport.resolve_address(opts)))
 
         0
 
@@ -189,8 +190,8 @@ defmodule Situ.CLI.Store.Exchange do
     with {:ok, p} <- Pipeline.start(build, []),
          {:ok, report} <- await_end(p, opts[:length]) do
       path = report.result.path
-      told = %{path: path, messages: :counters.get(came, 1), streams: Enum.uniq(topics)}
-      if opts[:json], do: Output.print_json(told), else: Output.puts(path)
+      summary = %{path: path, messages: :counters.get(came, 1), streams: Enum.uniq(topics)}
+      if opts[:json], do: Output.print_json(summary), else: Output.puts(path)
       0
     else
       {:error, error} -> raise error

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Store.Export do
-  @moduledoc "`situ store save`: writes messages to files that other programs can read."
+  @moduledoc false
+  # `situ store save`: writes messages to files that other programs can read.
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}

@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Store.Import do
-  @moduledoc "`situ store import` and `situ store convert`: import files into stores, and convert between formats."
+  @moduledoc false
+  # `situ store import` and `situ store convert`: import files into stores, and convert between
+  # formats.
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.TableImport
   alias Situ.CLI.{Input, Option, Output, Progress, Recording, UnfinishedOutput, Verb}

@@ -1,5 +1,6 @@
 defmodule Situ.CLI.Store.Inspection do
-  @moduledoc "The verbs of `situ store` that only read: info, messages, stats, analyze, diff."
+  @moduledoc false
+  # The verbs of `situ store` that only read: info, messages, stats, analyze, diff.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, McapStructure, Diff, Info, Lag, Messages, Statistics}

@@ -6,7 +6,7 @@ defmodule Situ.CLI.Store.Lag do
   alias Situ.Store
 
   @doc "Returns `[%{stream, average, most, messages}]` in ns, sorted by `order`, greatest lag first."
-  @spec measure_lags(Store.Handle.t(), :average | :most) :: [map()]
+  @spec measure_lags(Store.t(), :average | :most) :: [map()]
   def measure_lags(store, order) do
     tagged =
       for info <- Store.streams(store),

@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Store.Maintenance do
-  @moduledoc "The verbs of `situ store` that change a store in place: verify, repair, compact, delete, rename."
+  @moduledoc false
+  # The verbs of `situ store` that change a store in place: verify, repair, compact, delete,
+  # rename.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Repair}

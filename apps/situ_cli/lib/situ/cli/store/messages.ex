@@ -5,7 +5,7 @@ defmodule Situ.CLI.Store.Messages do
   alias Situ.CLI.Store.{Arguments, ItemReader}
   alias Situ.{Message, Store, Time}
 
-  @spec print_messages(Store.Handle.t(), [String.t()], keyword()) :: 0
+  @spec print_messages(Store.t(), [String.t()], keyword()) :: 0
   def print_messages(store, streams, opts) do
     reading = Arguments.damage_options(opts) ++ Arguments.time_options(opts)
     all = for name <- streams, do: {name, Store.messages(store, name, reading)}

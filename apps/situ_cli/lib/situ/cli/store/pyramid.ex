@@ -1,5 +1,7 @@
 defmodule Situ.CLI.Store.Pyramid do
-  @moduledoc "`situ store pyramid`: shows or builds the summaries from which timelines are drawn at any zoom level."
+  @moduledoc false
+  # `situ store pyramid`: shows or builds the summaries from which timelines are drawn at any zoom
+  # level.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.Arguments

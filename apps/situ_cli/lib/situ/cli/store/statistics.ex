@@ -19,7 +19,7 @@ defmodule Situ.CLI.Store.Statistics do
             back: 0
 
   @doc "Measures periods (mean, deviation, percentiles), gaps longer than `gap` ns, and latencies, all in ns."
-  @spec measure_stream(Store.Handle.t(), Store.StreamInfo.t(), pos_integer() | nil) :: map()
+  @spec measure_stream(Store.t(), Store.StreamInfo.t(), pos_integer() | nil) :: map()
   def measure_stream(store, info, gap) do
     gap = gap || default_gap(info)
     messages = Store.messages(store, info, envelopes: true, skip_damage: true)

@@ -7,7 +7,7 @@ defmodule Situ.CLI.Store.StreamDetails do
 
   @not_real "not real time"
 
-  @spec print_stream(Store.Handle.t(), String.t(), boolean()) :: :ok
+  @spec print_stream(Store.t(), String.t(), boolean()) :: :ok
   def print_stream(store, name, json?) do
     case Store.stream_info(store, name) do
       {:ok, info} when json? -> store |> stream_json(info) |> Output.print_json()
@@ -86,7 +86,7 @@ defmodule Situ.CLI.Store.StreamDetails do
   defp value_known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
   @doc "Formats a size, or returns `-` if the reader does not know it."
-  @spec format_bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
+  @spec format_bytes(Store.t(), StreamInfo.t(), number() | nil) :: String.t()
   def format_bytes(store, info, size) do
     if value_known?(store, info, size), do: Output.format_bytes(round(size || 0)), else: "-"
   end
@@ -100,7 +100,7 @@ defmodule Situ.CLI.Store.StreamDetails do
   end
 
   @doc "Returns the properties of a stream for JSON output. Unknown values are `nil`."
-  @spec stream_json(Store.Handle.t(), StreamInfo.t()) :: map()
+  @spec stream_json(Store.t(), StreamInfo.t()) :: map()
   def stream_json(store, info) do
     info
     |> Map.take([:id, :name, :store_name, :store_path, :count, :first, :last])
@@ -143,7 +143,7 @@ defmodule Situ.CLI.Store.StreamDetails do
   Formats the average latency. It is meaningless if a replay ran at full speed, because its messages have creation times
   before their originating times.
   """
-  @spec format_latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
+  @spec format_latency(Store.t(), StreamInfo.t()) :: String.t()
   def format_latency(store, info) do
     average = StreamInfo.average_latency(info)
 

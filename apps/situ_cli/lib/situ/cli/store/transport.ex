@@ -46,7 +46,7 @@ defmodule Situ.CLI.Store.Transport do
   end
 
   @doc "Opens a recording. For ROS, messages are read as maps, so that fields without a counterpart in Situ are kept."
-  @spec open_recording!(Path.t(), keyword()) :: Store.Handle.t()
+  @spec open_recording!(Path.t(), keyword()) :: Store.t()
   def open_recording!(path, opts) do
     store = Store.open!(path)
 

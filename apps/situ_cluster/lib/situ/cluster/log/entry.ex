@@ -1,17 +1,8 @@
 defmodule Situ.Cluster.Log.Entry do
-  @moduledoc """
-  Represents one entry of a log. `op` identifies the write (unique), `head` is short text about `data`, `seq` is its
-  position on the subject (`nil` before it is written), and `verified` says whether its author was checked.
-
-      iex> entry = %Situ.Cluster.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
-      iex> Situ.Cluster.Log.Entry.head_integer(entry, "Last", 0)
-      17
-      iex> bytes = entry |> Situ.Cluster.Log.Entry.encode() |> IO.iodata_to_binary()
-      iex> Situ.Cluster.Log.Entry.decode(bytes, 5)
-      {:ok, %Situ.Cluster.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "...", seq: 5}}
-      iex> Situ.Cluster.Log.Entry.decode(binary_part(bytes, 0, 20), 5)
-      {:error, "checksum mismatch: the entry was truncated or modified"}
-  """
+  @moduledoc false
+  # Represents one entry of a log. `op` identifies the write (unique), `head` is short text about
+  # `data`, `seq` is its position on the subject (`nil` before it is written), and `verified` says
+  # whether its author was checked.
   @magic "SITULOG1"
 
   @enforce_keys [:op]
@@ -25,7 +16,18 @@ defmodule Situ.Cluster.Log.Entry do
           verified: boolean()
         }
 
-  @doc "Returns an integer field of the head, or `default`."
+  @doc """
+  Returns an integer field of the head, or `default`.
+
+      iex> entry = %Situ.Cluster.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
+      iex> Situ.Cluster.Log.Entry.head_integer(entry, "Last", 0)
+      17
+      iex> bytes = entry |> Situ.Cluster.Log.Entry.encode() |> IO.iodata_to_binary()
+      iex> Situ.Cluster.Log.Entry.decode(bytes, 5)
+      {:ok, %Situ.Cluster.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "...", seq: 5}}
+      iex> Situ.Cluster.Log.Entry.decode(binary_part(bytes, 0, 20), 5)
+      {:error, "checksum mismatch: the entry was truncated or modified"}
+  """
   @spec head_integer(t() | nil, String.t(), default) :: integer() | default when default: term()
   def head_integer(nil, _key, default), do: default
 

@@ -1,24 +1,25 @@
 defmodule Situ.Cluster.Log.Folder do
-  @moduledoc """
-  Keeps the log of one machine in a folder, without a server. Any number of OS processes may write to it, and each
-  may be killed at any time.
-
-  An entry is a file named by its number. The file is written under a temporary name and then hard-linked to its final
-  name. The link fails if that name exists, so the file system itself provides the compare-and-set. A linked entry
-  survives a kill of the process and, with `sync: true`, also a power failure.
-
-      root/streams/<subject>/<thousand>/<number>
-      root/keys/<subject>/<number>                 the last two entries
-      root/tmp/                                    entries being written
-
-  A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in its file `name`.
-
-  Network file systems do not support this reliably. Use NATS for several machines.
-
-  ## Options
-
-    * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
-  """
+  @moduledoc false
+  # Keeps the log of one machine in a folder, without a server. Any number of OS processes may
+  # write to it, and each may be killed at any time.
+  #
+  # An entry is a file named by its number. The file is written under a temporary name and then
+  # hard-linked to its final name. The link fails if that name exists, so the file system itself
+  # provides the compare-and-set. A linked entry survives a kill of the process and, with `sync:
+  # true`, also a power failure.
+  #
+  #     root/streams/<subject>/<thousand>/<number>
+  #     root/keys/<subject>/<number>                 the last two entries
+  #     root/tmp/                                    entries being written
+  #
+  # A subject whose name is too long for a file name has the folder `h-SHA256`, with the name in
+  # its file `name`.
+  #
+  # Network file systems do not support this reliably. Use NATS for several machines.
+  #
+  # Options:
+  #
+  #   * `:sync` (a boolean, default `false`) - wait until each entry was written to the disk.
   @behaviour Situ.Cluster.Log
 
   alias Situ.{Error, Options}

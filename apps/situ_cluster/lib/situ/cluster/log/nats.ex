@@ -1,24 +1,24 @@
 defmodule Situ.Cluster.Log.Nats do
-  @moduledoc """
-  Keeps the log of several machines and sites in NATS JetStream (a `nats-server -js`, version 2.9 or newer, or a
-  cluster).
-
-      {:ok, log} = Situ.Cluster.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
-
-  Each stream has its own JetStream stream, which its first entry creates: `SITU_S_NAME` (subject `situ.s.NAME`).
-  Characters of a name other than letters and digits are written as `=HEX`, and a name of more than 200 characters as
-  its SHA-256. All keys share one JetStream stream, `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). A write
-  is conditional on `Nats-Expected-Last-Sequence` or, for keys, `Nats-Expected-Last-Subject-Sequence`. The header
-  `Situ-Op` identifies the write. If the server is lost, the connection tries the servers of the list in turn. Until it
-  is connected again, all calls return `{:error, %Situ.Error{code: :log_away}}`, and callers may repeat them unchanged.
-
-  The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A stream costs its server
-  two open files and about 80 KB of memory. Raise the server's limit of open files (`LimitNOFILE`) before you
-  log several thousand streams.
-
-  ## Options
-
-  """
+  @moduledoc false
+  # Keeps the log of several machines and sites in NATS JetStream (a `nats-server -js`, version
+  # 2.9 or newer, or a cluster).
+  #
+  #     {:ok, log} = Situ.Cluster.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
+  #
+  # Each stream has its own JetStream stream, which its first entry creates: `SITU_S_NAME`
+  # (subject `situ.s.NAME`). Characters of a name other than letters and digits are written as
+  # `=HEX`, and a name of more than 200 characters as its SHA-256. All keys share one JetStream
+  # stream, `SITU_KEYS` (`situ.k.NAME`, the last two messages of each). A write is conditional on
+  # `Nats-Expected-Last-Sequence` or, for keys, `Nats-Expected-Last-Subject-Sequence`. The header
+  # `Situ-Op` identifies the write. If the server is lost, the connection tries the servers of the
+  # list in turn. Until it is connected again, all calls return `{:error, %Situ.Error{code:
+  # :log_away}}`, and callers may repeat them unchanged.
+  #
+  # The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A
+  # stream costs its server two open files and about 80 KB of memory. Raise the server's limit of
+  # open files (`LimitNOFILE`) before you log several thousand streams.
+  #
+  # Options:
   # Why each stream has its own JetStream stream, with measurements:
   # see docs/adr/0113-the-log-offers-one-conditional-append.md.
   @behaviour Situ.Cluster.Log
@@ -72,7 +72,6 @@ defmodule Situ.Cluster.Log.Nats do
       doc: "Wait for a server that is not running yet, instead of returning an error."
     ]
   ]
-  @moduledoc @moduledoc <> Options.docs(@schema)
 
   @enforce_keys [:connection, :api, :stream, :timeout, :config, :prepared]
   defstruct @enforce_keys

@@ -1,17 +1,19 @@
 defmodule Situ.Annotation.Exchange.Coco do
-  @moduledoc """
-  Reads and writes COCO's JSON format for boxes on images (https://cocodataset.org/#format-data).
-
-  Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels). Each key frame is a box on the image
-  of its time. `times:` gives the times of the images: every image between the first and the last key frame of a track
-  then gets a box, interpolated linearly between the two nearest key frames.
-
-  The category is the value of the first finite attribute, or else the schema's name. COCO readers skip unknown
-  fields, so the file also contains the other data: `time_ns` of an image; `track`, `track_id`, `attributes`,
-  `score`, `by`, `note` and `proposed` of a box.
-
-  Images in files of other programs have no times: they are read one second apart, in the order of their names.
-  """
+  @moduledoc false
+  # Reads and writes COCO's JSON format for boxes on images
+  # (https://cocodataset.org/#format-data).
+  #
+  # Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels). Each key frame
+  # is a box on the image of its time. `times:` gives the times of the images: every image between
+  # the first and the last key frame of a track then gets a box, interpolated linearly between the
+  # two nearest key frames.
+  #
+  # The category is the value of the first finite attribute, or else the schema's name. COCO
+  # readers skip unknown fields, so the file also contains the other data: `time_ns` of an image;
+  # `track`, `track_id`, `attributes`, `score`, `by`, `note` and `proposed` of a box.
+  #
+  # Images in files of other programs have no times: they are read one second apart, in the order
+  # of their names.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema}

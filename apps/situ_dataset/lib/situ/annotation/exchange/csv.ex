@@ -1,11 +1,12 @@
 defmodule Situ.Annotation.Exchange.Csv do
-  @moduledoc """
-  Annotations as a table (RFC 4180): `from`, `to` (ns), `track`, one column per attribute, then `by`, `confidence`,
-  `proposed` and `note`. Nothing is lost. `from` and `to` are absolute times and do not depend on `origin:`; `from_s`
-  and `to_s` are seconds from the origin, for people and spreadsheets.
-
-  Reading requires `track` and either `from` and `to` (ns) or `from_s` and `to_s`; every other column is an attribute.
-  """
+  @moduledoc false
+  # Annotations as a table (RFC 4180): `from`, `to` (ns), `track`, one column per attribute, then
+  # `by`, `confidence`, `proposed` and `note`. Nothing is lost. `from` and `to` are absolute times
+  # and do not depend on `origin:`; `from_s` and `to_s` are seconds from the origin, for people
+  # and spreadsheets.
+  #
+  # Reading requires `track` and either `from` and `to` (ns) or `from_s` and `to_s`; every other
+  # column is an attribute.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.LabelRows

@@ -1,12 +1,12 @@
 defmodule Situ.Annotation.Exchange.Elan do
-  @moduledoc """
-  Reads and writes ELAN's annotation files (`.eaf`, format 3.0), with a tier for each track, or for each track and
-  attribute.
-
-  Times are milliseconds from `origin:`. The header stores the schema and the origin as properties (`situ.schema`,
-  `situ.origin`). Finite attributes are also written as controlled vocabularies, so that ELAN offers their values.
-  Annotations that refer to others (`REF_ANNOTATION`) get the times of the annotation that they refer to.
-  """
+  @moduledoc false
+  # Reads and writes ELAN's annotation files (`.eaf`, format 3.0), with a tier for each track, or
+  # for each track and attribute.
+  #
+  # Times are milliseconds from `origin:`. The header stores the schema and the origin as
+  # properties (`situ.schema`, `situ.origin`). Finite attributes are also written as controlled
+  # vocabularies, so that ELAN offers their values. Annotations that refer to others
+  # (`REF_ANNOTATION`) get the times of the annotation that they refer to.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Xml

@@ -1,13 +1,12 @@
 defmodule Situ.Annotation.Exchange.LabelStudio do
-  @moduledoc """
-  Reads and writes Label Studio's JSON for audio or video. A file is one task with a region per annotation, and times
-  are seconds from `origin:`.
-
-  Finite attributes are `labels`, text is `textarea`, numbers are `number`, and booleans are `choices` of `true` and
-  `false`. The results of one region share its `id`. The track is the region's choice `from_name: "track"`. Proposals
-  are predictions with their confidence as the score. All other annotations are annotations of the task, with one
-  entry per annotator.
-  """
+  @moduledoc false
+  # Reads and writes Label Studio's JSON for audio or video. A file is one task with a region per
+  # annotation, and times are seconds from `origin:`.
+  #
+  # Finite attributes are `labels`, text is `textarea`, numbers are `number`, and booleans are
+  # `choices` of `true` and `false`. The results of one region share its `id`. The track is the
+  # region's choice `from_name: "track"`. Proposals are predictions with their confidence as the
+  # score. All other annotations are annotations of the task, with one entry per annotator.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.LabelRows

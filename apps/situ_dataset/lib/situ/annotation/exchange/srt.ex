@@ -1,8 +1,8 @@
 defmodule Situ.Annotation.Exchange.Srt do
-  @moduledoc """
-  Reads and writes SubRip subtitles. Each annotation is a cue with its track in brackets before the text
-  (`[P1] Hello`). Times are milliseconds from `origin:`. Cues without brackets are put on the track "Cues".
-  """
+  @moduledoc false
+  # Reads and writes SubRip subtitles. Each annotation is a cue with its track in brackets before
+  # the text (`[P1] Hello`). Times are milliseconds from `origin:`. Cues without brackets are put
+  # on the track "Cues".
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Cues
 

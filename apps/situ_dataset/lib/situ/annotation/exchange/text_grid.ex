@@ -1,11 +1,11 @@
 defmodule Situ.Annotation.Exchange.TextGrid do
-  @moduledoc """
-  Writes Praat's TextGrid files in the long text form, and reads the long and the short form in UTF-8 or UTF-16.
-
-  Each track (or track and attribute) is a tier. Praat requires intervals with an empty label between annotations,
-  so an annotation with an empty label is lost. Points of a track are in a point tier `TRACK (points)`. Times are
-  seconds from `origin:`, exact to the nanosecond.
-  """
+  @moduledoc false
+  # Writes Praat's TextGrid files in the long text form, and reads the long and the short form in
+  # UTF-8 or UTF-16.
+  #
+  # Each track (or track and attribute) is a tier. Praat requires intervals with an empty label
+  # between annotations, so an annotation with an empty label is lost. Points of a track are in a
+  # point tier `TRACK (points)`. Times are seconds from `origin:`, exact to the nanosecond.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.Layer

@@ -1,11 +1,10 @@
 defmodule Situ.Annotation.Exchange.WebVtt do
-  @moduledoc """
-  Reads and writes WebVTT. Each annotation is a cue, with its track as the cue's voice (`<v TRACK>`). Times are
-  milliseconds from `origin:`.
-
-  Several attributes are written as lines `ATTRIBUTE: VALUE`. Reading removes the tags from the text. Cues without a
-  voice are put on the track "Cues".
-  """
+  @moduledoc false
+  # Reads and writes WebVTT. Each annotation is a cue, with its track as the cue's voice (`<v
+  # TRACK>`). Times are milliseconds from `origin:`.
+  #
+  # Several attributes are written as lines `ATTRIBUTE: VALUE`. Reading removes the tags from the
+  # text. Cues without a voice are put on the track "Cues".
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Cues
 

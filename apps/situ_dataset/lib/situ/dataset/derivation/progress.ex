@@ -1,8 +1,6 @@
 defmodule Situ.Dataset.Derivation.Progress do
-  @moduledoc """
-  Describes the progress of a run over sessions: `done` (0.0 to 1.0, sessions weighted by their duration), `finished`
-  of `total` sessions, and `running`, `[{session, fraction}]`.
-  """
+  @moduledoc false
+  # The progress of a run over sessions, which `Situ.Dataset.derive/3` describes.
   alias Situ.Pipeline
 
   defstruct weights: %{}, done: 0.0, finished: 0, total: 0, over: MapSet.new(), running: []

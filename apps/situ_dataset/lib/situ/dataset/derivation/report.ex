@@ -1,12 +1,6 @@
 defmodule Situ.Dataset.Derivation.Report do
-  @moduledoc """
-  Reports on a run over sessions: `output`, `duration` (ns), `cancelled?`, and a result for each session, in the
-  order of the sessions.
-
-  A result's `status` is `:done`, `:kept` (completed by an earlier, interrupted run), `:failed` (see `error`) or
-  `:cancelled`. `result` is the return value of `build`, and `took` is the time in ns. Sessions that were not started
-  have no result.
-  """
+  @moduledoc false
+  # The report of a run over sessions, which `Situ.Dataset.derive/3` describes.
   defstruct [:output, results: [], cancelled?: false, duration: 0]
 
   @type result :: %{

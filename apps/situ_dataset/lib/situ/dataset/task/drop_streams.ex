@@ -1,5 +1,7 @@
 defmodule Situ.Dataset.Task.DropStreams do
-  @moduledoc "Copies all streams to a new partition, except streams that must not be shared (task `drop-streams`)."
+  @moduledoc false
+  # Copies all streams to a new partition, except streams that must not be shared (task
+  # `drop-streams`).
   @behaviour Situ.Dataset.Task
 
   @impl true

@@ -1,8 +1,7 @@
 defmodule Situ.Dataset.Task.Statistics do
-  @moduledoc """
-  Writes count, mean, deviation and range of every numeric stream to a JSON file next to the session's recordings
-  (task `statistics`).
-  """
+  @moduledoc false
+  # Writes count, mean, deviation and range of every numeric stream to a JSON file next to the
+  # session's recordings (task `statistics`).
   @behaviour Situ.Dataset.Task
 
   @impl true

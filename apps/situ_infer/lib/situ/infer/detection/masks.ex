@@ -1,9 +1,8 @@
 defmodule Situ.Infer.Detection.Masks do
-  @moduledoc """
-  Computes the masks of detected objects. Each box's coefficients weight the network's prototypes
-  `{1, k, height, width}`, and the mask covers the pixels where the sigmoid of the sum is above one half (Bolya et al.,
-  "YOLACT", 2019). ONNX Runtime computes the sums.
-  """
+  @moduledoc false
+  # Computes the masks of detected objects. Each box's coefficients weight the network's
+  # prototypes `{1, k, height, width}`, and the mask covers the pixels where the sigmoid of the
+  # sum is above one half (Bolya et al., "YOLACT", 2019). ONNX Runtime computes the sums.
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Model, Onnx}
 

@@ -1,21 +1,9 @@
 defmodule Situ.Infer.Detection.Yolo do
-  @moduledoc """
-  Converts the outputs of YOLO networks to boxes in pixels of the network's input. Pure.
-
-  | version | output | a box | score |
-  |---|---|---|---|
-  | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC's 20 classes) | object x softmax of classes |
-  | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
-  | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
-  | `:v10` | `{1, n, 6}` | two corners, score, class; already without overlaps | as given |
-
-  Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the other versions.
-
-      iex> row = [50.0, 40.0, 20.0, 10.0, 0.9, 0.1, 0.8]
-      iex> boxes = Situ.Infer.Detection.Yolo.parse_boxes(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
-      iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
-      [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
-  """
+  @moduledoc false
+  # Converts the outputs of YOLO networks to boxes in pixels of the network's input. Pure.
+  # `Situ.Infer.ObjectDetector` lists the output formats.
+  # Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the
+  # other versions.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Infer.Activation
   alias Situ.Tensor
@@ -50,6 +38,11 @@ defmodule Situ.Infer.Detection.Yolo do
   @doc """
   Returns the boxes with a score of at least `min_score`, in no particular order. For `masks`, see `shape_matches?/3`.
   Boxes that have no size or contain values that are not numbers are left out.
+
+      iex> row = [50.0, 40.0, 20.0, 10.0, 0.9, 0.1, 0.8]
+      iex> boxes = Situ.Infer.Detection.Yolo.parse_boxes(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
+      iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
+      [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
   """
   @spec parse_boxes(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
   def parse_boxes(tensor, version, min_score, masks \\ 0)

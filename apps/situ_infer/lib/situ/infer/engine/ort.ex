@@ -1,12 +1,11 @@
 defmodule Situ.Infer.Engine.Ort do
-  @moduledoc """
-  The ONNX Runtime engine. The library is loaded at run time.
-
-  The path of the shared library is `SITU_ONNXRUNTIME` if that is set, and otherwise
-  `priv/onnxruntime/libonnxruntime.so` of this app, where `bin/setup` installs it. Without the library, everything that
-  needs a model returns `:no_onnxruntime` with the fix. A failed attempt is not remembered, so models work as soon as
-  the library is installed.
-  """
+  @moduledoc false
+  # The ONNX Runtime engine. The library is loaded at run time.
+  #
+  # The path of the shared library is `SITU_ONNXRUNTIME` if that is set, and otherwise
+  # `priv/onnxruntime/libonnxruntime.so` of this app, where `bin/setup` installs it. Without the
+  # library, everything that needs a model returns `:no_onnxruntime` with the fix. A failed
+  # attempt is not remembered, so models work as soon as the library is installed.
   # See docs/adr/0060-onnx-runtime-is-loaded-at-run-time.md.
   @behaviour Situ.Infer.Engine
 

@@ -1,4 +1,21 @@
 defmodule Situ.Infer.Speech.Azure do
+  @moduledoc """
+  Speech to text and text to speech with Azure's speech service. It uses the requests for short audio (up to 60 s) and
+  for synthesis.
+
+      azure = [recognizer: Situ.Infer.Speech.Azure, recognizer_options: [region: "westeurope"], partial: nil]
+      Situ.Infer.transcribe(sound, azure)
+
+  Text to speech is `Situ.Infer.Speech.Azure.Voice`, with the same options.
+
+  Results have alternatives, confidence, and words with times. Each partial result is a separate request; `partial: nil`
+  disables partial results.
+
+  ## Errors
+
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
+  """
+
   @own [
     region: [
       type: {:optional, :string},
@@ -16,26 +33,8 @@ defmodule Situ.Infer.Speech.Azure do
   ]
   @schema @own ++ Situ.Infer.Service.schema("AZURE_SPEECH_KEY")
 
-  @moduledoc """
-  Speech to text and text to speech with Azure's speech service. It uses the requests for short audio (up to 60 s) and
-  for synthesis.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      azure = [recognizer: Situ.Infer.Speech.Azure, recognizer_options: [region: "westeurope"], partial: nil]
-      Situ.Infer.transcribe(sound, azure)
-
-  Text to speech is `Situ.Infer.Speech.Azure.Voice`, with the same options.
-
-  Results have alternatives, confidence, and words with times. Each partial result is a separate request; `partial: nil`
-  disables partial results.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  The errors of `Situ.Infer.Service`, `:bad_answer`, `:too_long`.
-  """
   @behaviour Situ.Infer.Speech.Recognizer
 
   alias Situ.{AudioBuffer, Error}

@@ -1,4 +1,20 @@
 defmodule Situ.Infer.Speech.Espeak do
+  @moduledoc """
+  Text to speech with the program espeak-ng. It supports more than a hundred languages, runs 50 times faster than real
+  time, and sounds robotic.
+
+      {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
+      {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")
+      {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_with_marks(voice, "Go forward ten metres.")
+
+  Marks (`Situ.Infer.Speech.Mark`) are sentences, words, phonemes and, with `ssml: true`, the text's own marks. They are
+  produced by espeak-ng's library, which runs in a small separate program (`apps/situ_infer/native/situ_speak`).
+
+  ## Errors
+
+  `:no_espeak` (not installed), `:bad_voice` (unknown voice), `:bad_text`, `:synthesis_failed`.
+  """
+
   @schema [
     voice: [type: :string, default: "en-us", doc: "A voice listed by `espeak-ng --voices`."],
     rate: [type: {:range, 80, 450}, default: 160, doc: "The speed in words per minute."],
@@ -12,25 +28,8 @@ defmodule Situ.Infer.Speech.Espeak do
     ]
   ]
 
-  @moduledoc """
-  Text to speech with the program espeak-ng. It supports more than a hundred languages, runs 50 times faster than real
-  time, and sounds robotic.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
-      {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")
-      {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_with_marks(voice, "Go forward ten metres.")
-
-  Marks (`Situ.Infer.Speech.Mark`) are sentences, words, phonemes and, with `ssml: true`, the text's own marks. They are
-  produced by espeak-ng's library, which runs in a small separate program (`apps/situ_infer/native/situ_speak`).
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:no_espeak` (not installed), `:bad_voice` (unknown voice), `:bad_text`, `:synthesis_failed`.
-  """
   @behaviour Situ.Infer.Speech.Synthesizer
 
   alias Situ.{AudioBuffer, Error}

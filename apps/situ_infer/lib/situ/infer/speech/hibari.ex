@@ -1,4 +1,20 @@
 defmodule Situ.Infer.Speech.Hibari do
+  @moduledoc """
+  Text to speech with Hibari: one natural English voice of 8 MB, which runs in ONNX Runtime, several times faster than
+  real time on one core.
+
+      {:ok, voice} = Situ.Infer.Speech.Hibari.load(speed: 1.1)
+      {:ok, sound} = Situ.Infer.Speech.Hibari.speak(voice, "Go forward ten metres.")
+
+  `bin/lib/fetch-model hibari` downloads it (Apache-2.0). espeak-ng determines the pronunciation of the words, the
+  network computes spectra, and a vocoder converts them to audio: 24 kHz, one channel. The same text always gives the
+  same audio.
+
+  ## Errors
+
+  `:no_espeak`, `:bad_text`, `:synthesis_failed`, and the errors of `Situ.Infer.Model`.
+  """
+
   @schema [
     speed: [
       type: {:range, 0.5, 2.0},
@@ -8,29 +24,12 @@ defmodule Situ.Infer.Speech.Hibari do
     folder: [
       type: {:optional, :string},
       default: nil,
-      doc: "The folder with `hibari.onnx` and `vocab.json`; default: `Situ.Infer.ModelStore`."
+      doc: "The folder with `hibari.onnx` and `vocab.json`; `nil`: where `fetch-model` puts them."
     ]
   ]
 
-  @moduledoc """
-  Text to speech with Hibari: one natural English voice of 8 MB, which runs in ONNX Runtime, several times faster than
-  real time on one core.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      {:ok, voice} = Situ.Infer.Speech.Hibari.load(speed: 1.1)
-      {:ok, sound} = Situ.Infer.Speech.Hibari.speak(voice, "Go forward ten metres.")
-
-  `bin/lib/fetch-model hibari` downloads it (Apache-2.0). espeak-ng determines the pronunciation of the words
-  (`Situ.Infer.Speech.Hibari.Phonemes`), the network computes spectra, and `Situ.Infer.Speech.Hibari.Vocoder` converts
-  them to audio: 24 kHz, one channel. The same text always gives the same audio.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:no_espeak`, `:bad_text`, `:synthesis_failed`, and the errors of `Situ.Infer.Model`.
-  """
   @behaviour Situ.Infer.Speech.Synthesizer
 
   alias Situ.{AudioBuffer, AudioFormat, Error, Tensor}

@@ -1,15 +1,12 @@
 defmodule Situ.Infer.Speech.Jsgf do
-  @moduledoc """
-  Parses grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>): rules, alternatives,
-  `[optional]`, `(groups)`, `*`, `+`, `"quoted words"`, weights, tags, comments, `<NULL>` and `<VOID>`.
-
-      iex> {:ok, grammar} = Situ.Infer.Speech.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
-      iex> grammar.rules["yes"]
-      {:alt, [{:word, "yes"}, {:seq, [{:word, "of"}, {:word, "course"}]}]}
-
-  Situ adds two built-in rules: `<NUMBER>` matches a number from 0 to 999 in words or digits, and `<WORDS>` matches one
-  or more words of any kind. `import` is not supported; a grammar must be a single text.
-  """
+  @moduledoc false
+  # Parses grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>):
+  # rules, alternatives, `[optional]`, `(groups)`, `*`, `+`, `"quoted words"`, weights, tags,
+  # comments, `<NULL>` and `<VOID>`.
+  #
+  # Situ adds two built-in rules: `<NUMBER>` matches a number from 0 to 999 in words or digits,
+  # and `<WORDS>` matches one or more words of any kind. `import` is not supported; a grammar must
+  # be a single text.
   alias Situ.Error
 
   @most_bytes 1_000_000
@@ -44,7 +41,13 @@ defmodule Situ.Infer.Speech.Jsgf do
     end
   end
 
-  @doc "Parses the text of a grammar; errors report the line."
+  @doc """
+  Parses the text of a grammar; errors report the line.
+
+      iex> {:ok, grammar} = Situ.Infer.Speech.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
+      iex> grammar.rules["yes"]
+      {:alt, [{:word, "yes"}, {:seq, [{:word, "of"}, {:word, "course"}]}]}
+  """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) do
     with :ok <- check_text(text),

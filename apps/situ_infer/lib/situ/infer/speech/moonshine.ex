@@ -11,6 +11,22 @@ defmodule Situ.Infer.Speech.Moonshine do
   the audio is decoded again for each of the `n` least certain positions, with the second likeliest token there; the
   work grows accordingly.
   """
+
+  @schema [
+    folder: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The folder with the three files of the model; `nil`: where `fetch-model` puts them."
+    ],
+    alternatives: [
+      type: {:range, 0, 10},
+      default: 0,
+      doc: "The maximum number of alternatives in a result."
+    ]
+  ]
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
+
   @behaviour Situ.Infer.Speech.Recognizer
 
   alias Situ.{AudioBuffer, AudioFormat, Error, AudioOps, Tensor}
@@ -27,8 +43,6 @@ defmodule Situ.Infer.Speech.Moonshine do
   @longest_s 64
   @shortest 1_600
 
-  @most_alternatives 10
-
   @enforce_keys [:encoder, :decoder, :tokenizer]
   defstruct [:encoder, :decoder, :tokenizer, alternatives: 0]
 
@@ -44,22 +58,13 @@ defmodule Situ.Infer.Speech.Moonshine do
           alternatives: [Situ.Infer.Speech.Recognizer.alternative()]
         }
 
-  @doc """
-  Loads the model. `folder:` contains its three files (by default they come from `Situ.Infer.ModelStore`);
-  `alternatives:` is the maximum number of alternatives, 0 to #{@most_alternatives}. Errors: the errors of
-  `Situ.Infer.Model`.
-  """
+  @doc "Loads the model. Errors are those of `Situ.Infer.Model`."
   @impl true
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
-    schema = [
-      folder: [type: {:optional, :string}, default: nil],
-      alternatives: [type: {:range, 0, @most_alternatives}, default: 0]
-    ]
-
     settings = [warm_up: 0, schedule: :dirty, sessions: 1]
 
-    with {:ok, opts} <- Situ.Options.validate(opts, schema),
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, encoder} <- ModelStore.locate_file(opts[:folder], @name, "encoder_model.ort"),
          {:ok, decoder} <-
            ModelStore.locate_file(opts[:folder], @name, "decoder_model_merged.ort"),

@@ -1,19 +1,20 @@
 defmodule Situ.Infer.Speech.Number do
-  @moduledoc """
-  Parses and formats English numbers from 0 to 999, in words or digits.
-
-      iex> Situ.Infer.Speech.Number.parse_prefixes(["twenty", "five", "minutes"])
-      [{2, 25}, {1, 20}]
-      iex> Situ.Infer.Speech.Number.to_words(305)
-      "three hundred and five"
-  """
+  @moduledoc false
+  # Parses and formats English numbers from 0 to 999, in words or digits.
   @small ~w(zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen
             seventeen eighteen nineteen)
   @tens ~w(twenty thirty forty fifty sixty seventy eighty ninety)
   @units @small |> Enum.with_index() |> Map.new()
   @tens_of @tens |> Enum.with_index(2) |> Map.new(fn {word, n} -> {word, 10 * n} end)
 
-  @doc "Returns the numbers at the start of a list of words as `{word count, value}`, longest first."
+  @doc """
+  Returns the numbers at the start of a list of words as `{word count, value}`, longest first.
+
+      iex> Situ.Infer.Speech.Number.parse_prefixes(["twenty", "five", "minutes"])
+      [{2, 25}, {1, 20}]
+      iex> Situ.Infer.Speech.Number.to_words(305)
+      "three hundred and five"
+  """
   @spec parse_prefixes([String.t()]) :: [{pos_integer(), 0..999}]
   def parse_prefixes(words) do
     for n <- 5..1//-1,

@@ -1,4 +1,19 @@
 defmodule Situ.Infer.Speech.OpenAI do
+  @moduledoc """
+  Speech to text and text to speech with any service that implements OpenAI's protocol (OpenAI or a self-hosted server):
+  `/audio/transcriptions` and `/audio/speech`.
+
+      Situ.Infer.transcribe(sound, recognizer: Situ.Infer.Speech.OpenAI, partial: nil)
+      Situ.via(text, Situ.Infer.SpeechSynthesizer, synthesizer: Situ.Infer.Speech.OpenAI.Voice).out
+
+  Each partial result is a separate request; `partial: nil` disables partial results. Confidence is computed from the
+  mean log probability of the segments, or is 0.5 if the service reports none.
+
+  ## Errors
+
+  `:bad_answer`, #{Situ.Infer.Service.describe_errors()}.
+  """
+
   @own [
     url: [
       type: :string,
@@ -21,24 +36,8 @@ defmodule Situ.Infer.Speech.OpenAI do
   ]
   @schema @own ++ Situ.Infer.Service.schema("OPENAI_API_KEY")
 
-  @moduledoc """
-  Speech to text and text to speech with any service that implements OpenAI's protocol (OpenAI or a self-hosted server):
-  `/audio/transcriptions` and `/audio/speech`.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      Situ.Infer.transcribe(sound, recognizer: Situ.Infer.Speech.OpenAI, partial: nil)
-      Situ.via(text, Situ.Infer.SpeechSynthesizer, synthesizer: Situ.Infer.Speech.OpenAI.Voice).out
-
-  Each partial result is a separate request; `partial: nil` disables partial results. Confidence is computed from the
-  mean log probability of the segments, or is 0.5 if the service reports none.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  The errors of `Situ.Infer.Service`, `:bad_answer`.
-  """
   @behaviour Situ.Infer.Speech.Recognizer
 
   alias Situ.{AudioBuffer, Error}

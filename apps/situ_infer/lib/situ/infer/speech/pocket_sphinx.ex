@@ -1,4 +1,24 @@
 defmodule Situ.Infer.Speech.PocketSphinx do
+  @moduledoc """
+  Speech to text with the program PocketSphinx, which is small and fast, for the sentences of a grammar or a keyword.
+  It misrecognizes a third of the words of free speech; use `Situ.Infer.Speech.Moonshine` for free speech.
+
+      {:ok, sphinx} = Situ.Infer.Speech.PocketSphinx.load(grammar: "robot.gram")
+      {:ok, %{text: "go forward ten meters"}} = Situ.Infer.Speech.PocketSphinx.transcribe(sphinx, buffer)
+
+  It is part of Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each chunk runs the program
+  twice and takes about 0.3 s of CPU time. Results contain alternatives, and words with times.
+
+  With a grammar, any audio is recognized as one of its sentences. Therefore the audio is also decoded as a free
+  sequence of phones, and `confidence` is computed from the likelihood of the sentence relative to that of the phones.
+  In recordings, sentences of a grammar have a confidence of 0.7 or more, and other speech 0.2 or less. Without a
+  grammar, `confidence` is the weight of the best result among all alternatives.
+
+  ## Errors
+
+  `:no_pocketsphinx`, `:bad_grammar`, `:no_grammar`, `:recognition_failed`.
+  """
+
   @schema [
     grammar: [
       type: {:optional, :string},
@@ -24,29 +44,8 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     ]
   ]
 
-  @moduledoc """
-  Speech to text with the program PocketSphinx, which is small and fast, for the sentences of a grammar or a keyword.
-  It misrecognizes a third of the words of free speech; use `Situ.Infer.Speech.Moonshine` for free speech.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      {:ok, sphinx} = Situ.Infer.Speech.PocketSphinx.load(grammar: "robot.gram")
-      {:ok, %{text: "go forward ten meters"}} = Situ.Infer.Speech.PocketSphinx.transcribe(sphinx, buffer)
-
-  It is part of Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each chunk runs the program
-  twice and takes about 0.3 s of CPU time. Results contain alternatives, and words with times.
-
-  With a grammar, any audio is recognized as one of its sentences. Therefore the audio is also decoded as a free
-  sequence of phones, and `confidence` is computed from the likelihood of the sentence relative to that of the phones.
-  In recordings, sentences of a grammar have a confidence of 0.7 or more, and other speech 0.2 or less. Without a
-  grammar, `confidence` is the weight of the best result among all alternatives.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  ## Errors
-
-  `:no_pocketsphinx`, `:bad_grammar`, `:no_grammar`, `:recognition_failed`.
-  """
   @behaviour Situ.Infer.Speech.Recognizer
   alias Situ.{Error, AudioOps}
   alias Situ.Infer.Speech.{Jsgf, Program}

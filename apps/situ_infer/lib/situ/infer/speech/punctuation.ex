@@ -1,17 +1,13 @@
 defmodule Situ.Infer.Speech.Punctuation do
   @moduledoc """
-  Turns words into sentences with capitals, periods and question marks. Some recognizers write only words (PocketSphinx,
-  telephone services); Moonshine already writes sentences.
-
-      heard |> Situ.Infer.punctuate()                                    # rules
-      heard |> Situ.Infer.punctuate(punctuation: Situ.Chat.Punctuation, options: [model: "llama3.2"])
+  The behaviour of modules that turn words into sentences for `Situ.Infer.punctuate/2`.
 
   | built in | method |
   |---|---|
-  | `Situ.Infer.Speech.Punctuation.Rules` | rules based on the first words of English sentences |
-  | `Situ.Chat.Punctuation`, in `situ_assistant` | a language model (`Situ.Chat`) |
+  | `:rules` | rules based on the first words of English sentences |
+  | `Situ.Chat.Punctuation`, in `situ_assistant` | a language model |
 
-  To add another, implement these callbacks in a module.
+  To add another, implement these callbacks in a module and pass it as `punctuation:`.
   """
 
   @doc "Loads the punctuation model or rules."

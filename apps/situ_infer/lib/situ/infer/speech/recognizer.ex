@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Recognizer do
   @moduledoc """
-  Behaviour of recognizers, which convert audio to text for `Situ.Infer.SpeechRecognizer`.
+  The behaviour of recognizers, which convert audio to text for `Situ.Infer.SpeechRecognizer`.
 
   | built in | use | runs |
   |---|---|---|

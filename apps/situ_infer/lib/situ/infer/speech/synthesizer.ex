@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Synthesizer do
   @moduledoc """
-  Behaviour of synthesizers, which convert text to audio for `Situ.Infer.SpeechSynthesizer` using a program, model or
+  The behaviour of synthesizers, which convert text to audio for `Situ.Infer.SpeechSynthesizer` using a program, model or
   service.
 
   | built in | voice | runs | reports word times |

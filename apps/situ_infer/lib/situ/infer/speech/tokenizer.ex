@@ -1,9 +1,15 @@
 defmodule Situ.Infer.Speech.Tokenizer do
-  @moduledoc """
-  The vocabulary of a recognizer, which maps token numbers to text.
+  @moduledoc false
+  # The vocabulary of a recognizer, which maps token numbers to text.
+  #
+  # The file is a sequence of entries, each a length followed by that many bytes. A length of 128
+  # or more takes two bytes, `(first - 128) + second * 128`. `▁` (U+2581) represents a space.
+  import Situ.BinarySize, only: [pinned_size: 1]
 
-  The file is a sequence of entries, each a length followed by that many bytes. A length of 128 or more takes two bytes,
-  `(first - 128) + second * 128`. `▁` (U+2581) represents a space.
+  @type t :: tuple()
+
+  @doc """
+  Parses a vocabulary file.
 
       iex> {:ok, tokenizer} = Situ.Infer.Speech.Tokenizer.parse(<<0, 5, "▁go", 3, "ing">>)
       iex> Situ.Infer.Speech.Tokenizer.decode_tokens(tokenizer, [1, 2])
@@ -11,11 +17,6 @@ defmodule Situ.Infer.Speech.Tokenizer do
       iex> Situ.Infer.Speech.Tokenizer.parse(<<9, "short">>)
       :error
   """
-  import Situ.BinarySize, only: [pinned_size: 1]
-
-  @type t :: tuple()
-
-  @doc "Parses a vocabulary file."
   @spec parse(binary()) :: {:ok, t()} | :error
   def parse(bytes), do: parse_entries(bytes, [])
 

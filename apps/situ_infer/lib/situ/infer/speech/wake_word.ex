@@ -1,14 +1,9 @@
 defmodule Situ.Infer.Speech.WakeWord do
   @moduledoc """
-  Behaviour of spotters, which detect a name in speech for `Situ.Infer.wake_word/2` using a recognizer or a keyword
-  search.
+  The behaviour of spotters, which detect a name in speech for `Situ.Infer.wake_word/2`.
 
-  | built in | detects | use |
-  |---|---|---|
-  | `Situ.Infer.Speech.WakeWord.TranscriptSpotter` | the name among recognized words (Moonshine) | any name, with few mistakes |
-  | `Situ.Infer.Speech.WakeWord.KeywordSpotter` | the sound of the name (PocketSphinx) | machines without ONNX Runtime |
-
-  To add another, implement these callbacks in a module and pass it as `spotter:`.
+  `Situ.Infer.wake_word/2` describes the two that are built in. To add another, implement these callbacks in a module
+  and pass it as `spotter:`.
   """
 
   @typedoc "The interval of the name, in ns from the start of the audio; all of the audio if it is not known exactly."

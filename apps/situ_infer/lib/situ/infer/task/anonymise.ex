@@ -1,10 +1,11 @@
 defmodule Situ.Infer.Task.Anonymise do
-  @moduledoc """
-  The batch task `anonymise`. It copies the streams of a session into one partition, hides faces, mutes the audio where
-  it identifies people, and leaves out streams that must stay private.
-
-  Faces are found by a detector that may miss some (`Situ.Infer.FaceBlur`), so check the result before you share it.
-  """
+  @moduledoc false
+  # The batch task `anonymise`. It copies the streams of a session into one partition, hides
+  # faces, mutes the audio where it identifies people, and leaves out streams that must stay
+  # private.
+  #
+  # Faces are found by a detector that may miss some (`Situ.Infer.FaceBlur`), so check the result
+  # before you share it.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{AudioBuffer, AudioFormat}
 

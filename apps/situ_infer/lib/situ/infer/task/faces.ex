@@ -1,5 +1,7 @@
 defmodule Situ.Infer.Task.Faces do
-  @moduledoc "The batch task `faces`. It finds faces in an image stream and writes them to a new partition per session."
+  @moduledoc false
+  # The batch task `faces`. It finds faces in an image stream and writes them to a new partition
+  # per session.
 
   @doc "Returns the task's description."
   @spec task() :: map()

@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Task.Transcript do
-  @moduledoc """
-  The batch task `transcript`. It transcribes an audio stream into a new partition of each session.
-
-  It needs the speech model, which `bin/lib/fetch-model moonshine-tiny-en` downloads.
-  """
+  @moduledoc false
+  # The batch task `transcript`. It transcribes an audio stream into a new partition of each
+  # session.
+  #
+  # It needs the speech model, which `bin/lib/fetch-model moonshine-tiny-en` downloads.
 
   @doc "Returns the task's description."
   @spec task() :: map()

@@ -1,5 +1,7 @@
 defmodule Situ.Infer.Task.VoiceActivity do
-  @moduledoc "The batch task `voice-activity`. It writes whether somebody speaks to a new partition of each session."
+  @moduledoc false
+  # The batch task `voice-activity`. It writes whether somebody speaks to a new partition of each
+  # session.
 
   @doc "Returns the task's description."
   @spec task() :: map()

@@ -1,24 +1,26 @@
 defmodule Situ.Infer.Track.Kalman do
-  @moduledoc """
-  A Kalman filter for a measured number whose velocity changes slowly. The state consists of the value and its
-  velocity. Pure; times are in seconds.
-
-      iex> alias Situ.Infer.Track.Kalman
-      iex> k = Kalman.new(0.0, 1.0, 10.0)
-      iex> k = Enum.reduce(1..50, k, fn i, k -> k |> Kalman.predict(0.1, 1.0) |> Kalman.correct(i * 0.5, 1.0) end)
-      iex> {abs(k.value - 25.0) < 0.1, abs(k.velocity - 5.0) < 0.1}
-      {true, true}
-
-  The acceleration is white noise (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
-  Navigation", 2001, 6.3.2).
-  """
+  @moduledoc false
+  # A Kalman filter for a measured number whose velocity changes slowly. The state consists of the
+  # value and its velocity. Pure; times are in seconds.
+  #
+  # The acceleration is white noise (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications
+  # to Tracking and Navigation", 2001, 6.3.2).
   @enforce_keys [:value, :velocity, :p]
   defstruct [:value, :velocity, :p]
 
   @typedoc "`p` is the covariance, `{value, both, velocity}`: two variances and, between them, their covariance."
   @type t :: %__MODULE__{value: float(), velocity: float(), p: {float(), float(), float()}}
 
-  @doc "Builds the state after one measurement, with the standard deviations of its error and of the velocity (mean 0)."
+  @doc """
+  Builds the state after one measurement, with the standard deviations of its error and of the
+  velocity (mean 0).
+
+      iex> alias Situ.Infer.Track.Kalman
+      iex> k = Kalman.new(0.0, 1.0, 10.0)
+      iex> k = Enum.reduce(1..50, k, fn i, k -> k |> Kalman.predict(0.1, 1.0) |> Kalman.correct(i * 0.5, 1.0) end)
+      iex> {abs(k.value - 25.0) < 0.1, abs(k.velocity - 5.0) < 0.1}
+      {true, true}
+  """
   @spec new(float(), float(), float()) :: t()
   def new(value, error, speed),
     do: %__MODULE__{value: value, velocity: 0.0, p: {error * error, 0.0, speed * speed}}

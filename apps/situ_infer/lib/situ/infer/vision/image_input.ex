@@ -1,4 +1,12 @@
 defmodule Situ.Infer.Vision.ImageInput do
+  @moduledoc """
+  Prepares the image input of a network: cuts a square out of an image, and scales, normalises and arranges its
+  pixels.
+
+  Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) come from the model's only input with four dimensions.
+  `ImageNet` networks need the options `imagenet_options/0`.
+  """
+
   @schema [
     mean: [
       type: {:list, :number},
@@ -28,17 +36,8 @@ defmodule Situ.Infer.Vision.ImageInput do
     ]
   ]
 
-  @moduledoc """
-  Prepares the image input of a network: cuts a square out of an image, and scales, normalises and arranges its
-  pixels.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-  Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) come from the model's only input with four dimensions.
-  `ImageNet` networks need the options `imagenet_options/0`.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Model, Onnx, Patch}
 

@@ -1,17 +1,10 @@
 defmodule Situ.Infer.Vision.TextRegions do
-  @moduledoc """
-  Finds text regions in a map of each pixel's probability of being text. For each connected region it returns the
-  narrowest rectangle around it, slightly enlarged. Pure.
-
-      iex> row = fn ones -> for x <- 0..9, into: <<>>, do: <<if(x in ones, do: 0.9, else: 0.0)::float-native-32>> end
-      iex> map = row.([]) <> row.(2..7) <> row.(2..7) <> row.(2..7) <> row.([])
-      iex> [region] = Situ.Infer.Vision.TextRegions.find_regions(Situ.Tensor.new(map, :f32, {1, 1, 5, 10}), min_side: 2)
-      iex> {region.center, Float.round(region.score, 1), region.width > region.height}
-      {{4.5, 2.0}, 0.9, true}
-
-  A rectangle may be rotated: `right` is the reading direction, `width` is along it and `height` across it. A rectangle
-  that is much higher than wide is read downwards.
-  """
+  @moduledoc false
+  # Finds text regions in a map of each pixel's probability of being text. For each connected
+  # region it returns the narrowest rectangle around it, slightly enlarged. Pure.
+  #
+  # A rectangle may be rotated: `right` is the reading direction, `width` is along it and `height`
+  # across it. A rectangle that is much higher than wide is read downwards.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Tensor
 
@@ -48,6 +41,12 @@ defmodule Situ.Infer.Vision.TextRegions do
   Returns the regions in a map of the shape `{1, 1, height, width}`, in its pixels, at most #{@most}.
 
   #{Situ.Options.docs(@schema)}
+
+      iex> row = fn ones -> for x <- 0..9, into: <<>>, do: <<if(x in ones, do: 0.9, else: 0.0)::float-native-32>> end
+      iex> map = row.([]) <> row.(2..7) <> row.(2..7) <> row.(2..7) <> row.([])
+      iex> [region] = Situ.Infer.Vision.TextRegions.find_regions(Situ.Tensor.new(map, :f32, {1, 1, 5, 10}), min_side: 2)
+      iex> {region.center, Float.round(region.score, 1), region.width > region.height}
+      {{4.5, 2.0}, 0.9, true}
   """
   @spec find_regions(Tensor.t(), keyword()) :: [region()]
   def find_regions(%Tensor{type: :f32, shape: {1, 1, _height, width}, data: data}, opts \\ []) do

@@ -4,8 +4,8 @@ defmodule Situ.Infer.Voice.Detector do
 
   | built in | method | needs |
   |---|---|---|
-  | `Situ.Infer.Voice.Silero` (`:silero`) | a network | ONNX Runtime |
-  | `Situ.Infer.Voice.Energy` (`:energy`) | the level above the noise | nothing |
+  | `:silero` | a network | ONNX Runtime |
+  | `:energy` | the level above the noise | nothing |
 
   To add another detector, write a module with these callbacks and name it by the option `detector:`. It receives 16 kHz
   mono audio in consecutive chunks of 512 samples (32 ms). Its state is passed from call to call.

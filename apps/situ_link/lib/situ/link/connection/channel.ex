@@ -1,17 +1,7 @@
 defmodule Situ.Link.Connection.Channel do
-  @moduledoc """
-  Holds the receiver's state of one stream: its position, the data received, and the data that may still arrive.
-  Pure.
-
-      iex> alias Situ.Link.Connection.Channel
-      iex> request = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}
-      iex> channel = Channel.new(1, self(), request)
-      iex> {:ok, channel} = Channel.accept_batch(channel, 600, 20, 3)
-      iex> {:duplicate, channel} = Channel.accept_batch(channel, 100, 20, 1)
-      iex> {map, _} = Channel.build_request(channel)
-      iex> map["from"]
-      %{"after" => 20}
-  """
+  @moduledoc false
+  # Holds the receiver's state of one stream: its position, the data received, and the data that
+  # may still arrive. Pure.
   alias Situ.Link.Wire.Frame
 
   # A server may exceed the window by the frame that fills it.
@@ -81,7 +71,19 @@ defmodule Situ.Link.Connection.Channel do
   def mark_subscribed(%__MODULE__{last: nil} = channel, time), do: %{channel | last: time}
   def mark_subscribed(%__MODULE__{} = channel, _time), do: channel
 
-  @doc "Accepts a batch that ends at time `last`. Returns `:duplicate` for a batch that was received before."
+  @doc """
+  Accepts a batch that ends at time `last`. Returns `:duplicate` for a batch that was received
+  before.
+
+      iex> alias Situ.Link.Connection.Channel
+      iex> request = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}
+      iex> channel = Channel.new(1, self(), request)
+      iex> {:ok, channel} = Channel.accept_batch(channel, 600, 20, 3)
+      iex> {:duplicate, channel} = Channel.accept_batch(channel, 100, 20, 1)
+      iex> {map, _} = Channel.build_request(channel)
+      iex> map["from"]
+      %{"after" => 20}
+  """
   @spec accept_batch(t(), non_neg_integer(), Situ.Time.t(), non_neg_integer()) ::
           {:ok | :duplicate, t()} | {:error, String.t()}
   def accept_batch(%__MODULE__{} = channel, size, last, count) do

@@ -1,17 +1,7 @@
 defmodule Situ.Link.Nats.Protocol do
-  @moduledoc """
-  Encodes and parses the NATS client protocol. Pure. A line has at most 4 KiB, a message at most the agreed size.
-
-      iex> alias Situ.Link.Nats.Protocol
-      iex> "a.b" |> Protocol.encode_publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
-      "HPUB a.b _INBOX.1 18 22\\r\\nNATS/1.0\\r\\nK: v\\r\\n\\r\\ndata\\r\\n"
-      iex> Protocol.parse_frame("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
-      {:ok, {:message, %{subject: "a.b", reply: nil, status: nil, headers: %{}, data: "data"}}, "PI"}
-      iex> Protocol.parse_frame("PI", 1_024)
-      :more
-      iex> Protocol.parse_frame("MSG a.b 1 4000\\r\\n", 1_024)
-      {:error, "a message of 4000 bytes exceeds the limit of 1024"}
-  """
+  @moduledoc false
+  # Encodes and parses the NATS client protocol. Pure. A line has at most 4 KiB, a message at most
+  # the agreed size.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @max_line 4_096
@@ -31,7 +21,19 @@ defmodule Situ.Link.Nats.Protocol do
           | {:failure, String.t()}
           | {:message, message()}
 
-  @doc "Encodes a message with headers (a list of names and values). Replies go to the subject `reply`."
+  @doc """
+  Encodes a message with headers (a list of names and values). Replies go to the subject `reply`.
+
+      iex> alias Situ.Link.Nats.Protocol
+      iex> "a.b" |> Protocol.encode_publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
+      "HPUB a.b _INBOX.1 18 22\\r\\nNATS/1.0\\r\\nK: v\\r\\n\\r\\ndata\\r\\n"
+      iex> Protocol.parse_frame("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
+      {:ok, {:message, %{subject: "a.b", reply: nil, status: nil, headers: %{}, data: "data"}}, "PI"}
+      iex> Protocol.parse_frame("PI", 1_024)
+      :more
+      iex> Protocol.parse_frame("MSG a.b 1 4000\\r\\n", 1_024)
+      {:error, "a message of 4000 bytes exceeds the limit of 1024"}
+  """
   @spec encode_publish(String.t(), String.t(), [{String.t(), String.t()}], iodata()) :: iodata()
   def encode_publish(subject, reply, headers, data) do
     head = ["NATS/1.0\r\n", for({key, value} <- headers, do: [key, ": ", value, "\r\n"]), "\r\n"]

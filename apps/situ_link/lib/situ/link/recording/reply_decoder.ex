@@ -8,7 +8,7 @@ defmodule Situ.Link.Recording.ReplyDecoder do
 
   @type result(form) :: {:ok, form} | :error
 
-  @fields %StreamInfo{id: 0, name: ""} |> Map.from_struct() |> Map.keys()
+  @fields %StreamInfo{id: 0, name: ""} |> Map.from_struct() |> Map.keys() |> List.delete(:extra)
   @numbers [:id, :count, :size, :stored, :latency_sum]
   @times [:opened, :closed, :first, :last, :first_creation, :last_creation]
 

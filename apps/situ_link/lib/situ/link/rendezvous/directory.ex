@@ -1,15 +1,6 @@
 defmodule Situ.Link.Rendezvous.Directory do
-  @moduledoc """
-  Keeps the announced processes, each with the client that owns it. Pure.
-
-      iex> alias Situ.Link.Rendezvous.Directory
-      iex> robot = %{name: "robot", version: "1", endpoints: []}
-      iex> {[{:add, ^robot}], directory} = Directory.apply_update(Directory.new(), :a, {:add, robot})
-      iex> {[], directory} = Directory.apply_update(directory, :b, {:remove, "robot"})
-      iex> {updates, _} = Directory.remove_owner(directory, :a)
-      iex> updates
-      [{:remove, "robot"}]
-  """
+  @moduledoc false
+  # Keeps the announced processes, each with the client that owns it. Pure.
   alias Situ.Link.Rendezvous.Protocol
 
   # These limits keep a client with many names or long lists from filling the memory or locking out other clients.
@@ -36,6 +27,14 @@ defmodule Situ.Link.Rendezvous.Directory do
   Applies an update from a client and returns the updates to send to all others. A process that is added again with
   different endpoints is sent as a removal and an addition, which every client understands. An update for a name that
   belongs to another client is ignored.
+
+      iex> alias Situ.Link.Rendezvous.Directory
+      iex> robot = %{name: "robot", version: "1", endpoints: []}
+      iex> {[{:add, ^robot}], directory} = Directory.apply_update(Directory.new(), :a, {:add, robot})
+      iex> {[], directory} = Directory.apply_update(directory, :b, {:remove, "robot"})
+      iex> {updates, _} = Directory.remove_owner(directory, :a)
+      iex> updates
+      [{:remove, "robot"}]
   """
   @spec apply_update(t(), term(), Protocol.update()) :: {[Protocol.update()], t()}
   def apply_update(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do

@@ -1,28 +1,17 @@
 defmodule Situ.Link.Rendezvous.Protocol do
-  @moduledoc """
-  Encodes and decodes \\psi's rendezvous protocol, version 2. Pure.
-
-  Processes announce their endpoints. A process is `%{name: name, version: text, endpoints: [endpoint]}`. An endpoint
-  has one of these forms:
-
-    * `{:tcp, host, port, streams}`: one stream in \\psi's TCP framing,
-    * `{:address, address, streams}`: ZeroMQ in \\psi, a link (`situ://...`) in Situ,
-    * `{:exporter, host, port, transport, streams}`,
-    * `{:clock, host, port, []}`.
-
-  A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least significant first) and
-  its UTF-8 bytes. Integers are little-endian.
-
-      iex> alias Situ.Link.Rendezvous.Protocol
-      iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
-      iex> bytes = IO.iodata_to_binary(Protocol.encode({:add, process}))
-      iex> Protocol.decode(bytes <> "rest")
-      {:ok, {:add, process}, "rest"}
-      iex> Protocol.decode(binary_part(bytes, 0, 9))
-      :more
-      iex> Protocol.decode(<<7>>)
-      {:error, "no update begins with the byte 7"}
-  """
+  @moduledoc false
+  # Encodes and decodes \psi's rendezvous protocol, version 2. Pure.
+  #
+  # Processes announce their endpoints. A process is `%{name: name, version: text, endpoints:
+  # [endpoint]}`. An endpoint has one of these forms:
+  #
+  #   * `{:tcp, host, port, streams}`: one stream in \psi's TCP framing,
+  #   * `{:address, address, streams}`: ZeroMQ in \psi, a link (`situ://...`) in Situ,
+  #   * `{:exporter, host, port, transport, streams}`,
+  #   * `{:clock, host, port, []}`.
+  #
+  # A stream is `{name, type}`, both strings. A string is its length (seven bits per byte, least
+  # significant first) and its UTF-8 bytes. Integers are little-endian.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @version 2
@@ -86,7 +75,20 @@ defmodule Situ.Link.Rendezvous.Protocol do
   @type continuation :: (binary() -> result())
   @type result :: {:ok, update(), binary()} | {:more, continuation()} | {:error, String.t()}
 
-  @doc "Decodes the first update in `bytes` and returns the remaining bytes, or `:more` if the update is incomplete."
+  @doc """
+  Decodes the first update in `bytes` and returns the remaining bytes, or `:more` if the update is
+  incomplete.
+
+      iex> alias Situ.Link.Rendezvous.Protocol
+      iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
+      iex> bytes = IO.iodata_to_binary(Protocol.encode({:add, process}))
+      iex> Protocol.decode(bytes <> "rest")
+      {:ok, {:add, process}, "rest"}
+      iex> Protocol.decode(binary_part(bytes, 0, 9))
+      :more
+      iex> Protocol.decode(<<7>>)
+      {:error, "no update begins with the byte 7"}
+  """
   @spec decode(binary()) :: {:ok, update(), binary()} | :more | {:error, String.t()}
   def decode(bytes) do
     with {:more, _continuation} <- feed(bytes), do: :more

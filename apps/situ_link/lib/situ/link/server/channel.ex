@@ -1,8 +1,7 @@
 defmodule Situ.Link.Server.Channel do
-  @moduledoc """
-  Holds the server's state of one stream sent to one client: the request, its position, and the remaining credit.
-  Pure.
-  """
+  @moduledoc false
+  # Holds the server's state of one stream sent to one client: the request, its position, and the
+  # remaining credit. Pure.
   alias Situ.Delivery
   alias Situ.Link.Wire.{DatagramCodec, Frame}
   alias Situ.Link.Server.RecordingReader

@@ -8,7 +8,7 @@ defmodule Situ.Link.Server.RecordingReader do
   alias Situ.Error
   alias Situ.Link.Wire.Batch
   alias Situ.Link.Server.RecordingVersions
-  alias Situ.Store.{Handle, NativeFormat, Query, StreamInfo, TypeName}
+  alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
 
   @batch 512
   # This time is earlier than any other, but far from the limits of 64-bit integers.
@@ -21,7 +21,7 @@ defmodule Situ.Link.Server.RecordingReader do
 
   @typedoc "A served recording, as described above."
   @type spec ::
-          {:series | :live, Path.t(), name :: String.t()} | {:store, Handle.t()}
+          {:series | :live, Path.t(), name :: String.t()} | {:store, Situ.Recording.t()}
 
   @typedoc """
   The start of a subscription: messages from now on, the beginning (of the newest version of a recording), the first
@@ -38,7 +38,7 @@ defmodule Situ.Link.Server.RecordingReader do
 
   @doc "Opens a recording, which may not exist yet."
   @spec open(spec()) :: {:ok, t()} | {:error, Error.t()}
-  def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
+  def open({:store, %Situ.Recording{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
     with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | live?: true}}
@@ -94,7 +94,7 @@ defmodule Situ.Link.Server.RecordingReader do
   defp catalog_entry(info), do: %{name: info.name, type: info.type_name}
 
   @doc "Returns the recording, for requests. `version` selects a version; `nil` selects the newest."
-  @spec fetch_store(t(), version :: term()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  @spec fetch_store(t(), version :: term()) :: {:ok, Situ.Recording.t()} | {:error, Error.t()}
   def fetch_store(%{store: nil, series: {_, name}}, _version),
     do:
       {:error,

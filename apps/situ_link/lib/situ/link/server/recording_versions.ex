@@ -1,9 +1,9 @@
 defmodule Situ.Link.Server.RecordingVersions do
   @moduledoc false
   # Treats the versions of a recording in one folder (`name.0000` and later) as one sequence.
-  alias Situ.Store.{Folder, Handle, Query, StreamInfo}
+  alias Situ.Store.{Folder, Query, StreamInfo}
 
-  @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
+  @type found :: {non_neg_integer(), Situ.Recording.t(), StreamInfo.t()}
 
   @spec newest_version(Path.t(), String.t()) :: {non_neg_integer(), Path.t()} | nil
   def newest_version(root, name) do

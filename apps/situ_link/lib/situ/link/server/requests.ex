@@ -1,26 +1,27 @@
 defmodule Situ.Link.Server.Requests do
-  @moduledoc """
-  Handles the requests of clients to a recording (`{:request, id, map}`) and builds the bodies of the replies. The
-  client side is the reader `Situ.Link.Recording`.
-
-  | `op` | further keys | reply |
-  |---|---|---|
-  | `open` | | info, with `version` |
-  | `streams`; `stream` | `stream` | list of maps; one |
-  | `seek`, `count` | `stream`, `time` | ordinal, number |
-  | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
-  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | as in `Situ.Store.Reader` |
-  | `gaps`; `missing_files` | `stream`, `least` | lists |
-  | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
-
-  Every request except `open` contains the `version` returned by `open`. All replies except those to `read` are external
-  terms, which the client reads with the checked decoder of stores. A body is sent in segments: each begins with the
-  byte 0, the last one with 1. The byte 2 precedes an error as JSON.
-  """
+  @moduledoc false
+  # Handles the requests of clients to a recording (`{:request, id, map}`) and builds the bodies
+  # of the replies. The client side is the reader `Situ.Link.Recording`.
+  #
+  # | `op` | further keys | reply |
+  # |---|---|---|
+  # | `open` | | info, with `version` |
+  # | `streams`; `stream` | `stream` | list of maps; one |
+  # | `seek`, `count` | `stream`, `time` | ordinal, number |
+  # | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
+  # | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | as in `Situ.Recording` |
+  # | `gaps`; `missing_files` | `stream`, `least` | lists |
+  # | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
+  #
+  # Every request except `open` contains the `version` returned by `open`. All replies except
+  # those to `read` are external terms, which the client reads with the checked decoder of stores.
+  # A body is sent in segments: each begins with the byte 0, the last one with 1. The byte 2
+  # precedes an error as JSON.
   # See docs/adr/0115-remote-recordings-answer-requests.md.
   alias Situ.{Error, JSON}
   alias Situ.Link.Wire.{Batch, Handshake}
-  alias Situ.Store.{Handle, Query, StreamInfo}
+  alias Situ.Recording
+  alias Situ.Store.{Query, StreamInfo}
 
   # Limits for the messages in one reply. The second one applies if the client wants exactly as many as it asked for.
   @max_messages 4_096
@@ -32,17 +33,17 @@ defmodule Situ.Link.Server.Requests do
   Handles a request. Returns the segments of the reply or, for `await`, the number above which the client wants to be
   notified.
   """
-  @spec handle_request(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
-  def handle_request(%Handle{} = store, %{"op" => "await"} = request) do
-    with {:ok, fields} <- parse_number(request["known"], 0, 0xFFFFFFFFFFFF),
-         true <- function_exported?(store.module, :await, 4) do
-      {:await, fields}
+  @spec handle_request(Recording.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
+  def handle_request(%Recording{} = store, %{"op" => "await"} = request) do
+    with {:ok, known} <- parse_number(request["known"], 0, 0xFFFFFFFFFFFF),
+         true <- Recording.implements?(store, :notify, 4) do
+      {:await, known}
     else
       _ -> {:ok, term_reply({:ended, 0})}
     end
   end
 
-  def handle_request(%Handle{} = store, request) do
+  def handle_request(%Recording{} = store, request) do
     case run_operation(request["op"], store, request) do
       {:ok, body} -> {:ok, body}
       {:error, %Error{} = error} -> {:ok, error |> hide_path(store) |> error_reply()}
@@ -152,7 +153,7 @@ defmodule Situ.Link.Server.Requests do
 
   defp streams_to_maps(infos) do
     for %StreamInfo{} = info <- infos do
-      info |> Map.from_struct() |> Map.drop([:store_path, :type])
+      info |> Map.from_struct() |> Map.drop([:store_path, :type, :extra])
     end
   end
 

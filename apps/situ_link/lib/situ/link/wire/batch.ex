@@ -1,25 +1,17 @@
 defmodule Situ.Link.Wire.Batch do
-  @moduledoc """
-  Encodes messages as payloads of `batch` frames, and decodes them. Pure.
-
-  A payload begins with a length byte `n` and a name of `n` bytes, which selects the encoding:
-
-    * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
-    * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
-      time (64 bits each, signed), the length of its data (32 bits), and the data.
-
-  Decoding does not trust its input. Terms go through the decoder of stores (no new atoms, no functions, bounded
-  memory). Binaries are sub-binaries of the payload, not copies. Data that cannot be decoded become a
-  `Situ.Store.Undecoded` in their message, so that the stream continues.
-
-      iex> alias Situ.Link.Wire.Batch
-      iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
-      iex> [{10, 10, 1, payload}] = Batch.encode([message])
-      iex> payload |> IO.iodata_to_binary() |> Batch.decode()
-      {:ok, [message]}
-      iex> Batch.decode(<<9, "cut">>)
-      {:error, "a payload cut short"}
-  """
+  @moduledoc false
+  # Encodes messages as payloads of `batch` frames, and decodes them. Pure.
+  #
+  # A payload begins with a length byte `n` and a name of `n` bytes, which selects the encoding:
+  #
+  #   * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
+  #   * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
+  #     time (64 bits each, signed), the length of its data (32 bits), and the data.
+  #
+  # Decoding does not trust its input. Terms go through the decoder of stores (no new atoms, no
+  # functions, bounded memory). Binaries are sub-binaries of the payload, not copies. Data that
+  # cannot be decoded become a `Situ.Store.Undecoded` in their message, so that the stream
+  # continues.
   alias Situ.Message
   alias Situ.Store.{Codecs, TermCodec, Undecoded}
 
@@ -36,6 +28,14 @@ defmodule Situ.Link.Wire.Batch do
 
   Does not check the data: messages that contain more than plain data are decoded as `Situ.Store.Undecoded`; see
   `split_encodable/1`.
+
+      iex> alias Situ.Link.Wire.Batch
+      iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
+      iex> [{10, 10, 1, payload}] = Batch.encode([message])
+      iex> payload |> IO.iodata_to_binary() |> Batch.decode()
+      {:ok, [message]}
+      iex> Batch.decode(<<9, "cut">>)
+      {:error, "a payload cut short"}
   """
   @spec encode([Message.t()]) :: [part()]
   def encode([]), do: []

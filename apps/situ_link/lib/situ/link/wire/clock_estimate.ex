@@ -1,18 +1,15 @@
 defmodule Situ.Link.Wire.ClockEstimate do
-  @moduledoc """
-  Estimates from round trips how far the remote clock is ahead of the local one, and how fast that changes. Pure.
-
-  A round trip consists of four times: sent at `t0` and back at `t3` by the local clock, received at `t1` and returned
-  at `t2` by the remote clock. It shows an offset of `((t1 - t0) + (t2 - t3)) / 2`. The error is at most half of the
-  network delay, however that delay is split between the two directions (RFC 5905, section 8). Quick round trips
-  therefore count most. Offset and drift are a line fitted to the samples of the last minutes, each weighted by how much
-  longer it took than the quickest one. If one of the clocks was set, earlier samples are discarded.
-
-      iex> alias Situ.Link.Wire.ClockEstimate
-      iex> clock = ClockEstimate.add_round_trip(ClockEstimate.new(), {1_000, 6_100, 6_200, 1_300})
-      iex> {ClockEstimate.offset_at(clock, 1_300), ClockEstimate.uncertainty_at(clock, 1_300)}
-      {5_000, 100}
-  """
+  @moduledoc false
+  # Estimates from round trips how far the remote clock is ahead of the local one, and how fast
+  # that changes. Pure.
+  #
+  # A round trip consists of four times: sent at `t0` and back at `t3` by the local clock,
+  # received at `t1` and returned at `t2` by the remote clock. It shows an offset of `((t1 - t0) +
+  # (t2 - t3)) / 2`. The error is at most half of the network delay, however that delay is split
+  # between the two directions (RFC 5905, section 8). Quick round trips therefore count most.
+  # Offset and drift are a line fitted to the samples of the last minutes, each weighted by how
+  # much longer it took than the quickest one. If one of the clocks was set, earlier samples are
+  # discarded.
   # About four minutes, at one round trip a second.
   @max_samples 256
   @min_samples 8
@@ -30,7 +27,14 @@ defmodule Situ.Link.Wire.ClockEstimate do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Adds a round trip and updates the estimate. Round trips with a negative duration are ignored."
+  @doc """
+  Adds a round trip and updates the estimate. Round trips with a negative duration are ignored.
+
+      iex> alias Situ.Link.Wire.ClockEstimate
+      iex> clock = ClockEstimate.add_round_trip(ClockEstimate.new(), {1_000, 6_100, 6_200, 1_300})
+      iex> {ClockEstimate.offset_at(clock, 1_300), ClockEstimate.uncertainty_at(clock, 1_300)}
+      {5_000, 100}
+  """
   @spec add_round_trip(t(), trip()) :: t()
   def add_round_trip(%__MODULE__{} = clock, {t0, t1, t2, t3}) when t3 >= t0 and t2 >= t1 do
     rtt = max(t3 - t0 - (t2 - t1), 0)

@@ -1,33 +1,23 @@
 defmodule Situ.Link.Wire.DatagramCodec do
-  @moduledoc """
-  Splits frames into datagrams of any size, and reassembles them. Pure.
-
-  A frame is split into segments, one per datagram. A datagram begins with `seq` (64 bits, never used twice with a key).
-  The rest is encrypted and authenticated by AES-128-GCM, under a key that both sides agreed on over their connection:
-
-  | bits | |
-  |---|---|
-  | 32 | set: the number of the frame |
-  | 16, 16 | number of the segment (from 0), number of segments |
-  | 64 | messages sent in earlier sets |
-  | 32 | messages in this set |
-  | | the segment |
-
-  The receiver reassembles sets from segments that may arrive in any order, more than once, or never. It gives up an
-  incomplete set when two later ones are complete. Sets are returned in order. The exact number of messages lost before
-  each is known, since every set carries the number of messages sent before it.
-
-      iex> alias Situ.Link.Wire.DatagramCodec
-      iex> key = <<7::128>>
-      iex> sender = DatagramCodec.new_sender(key, 80)
-      iex> {[a, b], _} = DatagramCodec.split_frame(sender, "a frame that is longer than its datagrams are", 3)
-      iex> receiver = DatagramCodec.new_receiver(key)
-      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
-      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
-      iex> {[{0, frame}], _} = DatagramCodec.receive_datagram(receiver, a)
-      iex> frame
-      "a frame that is longer than its datagrams are"
-  """
+  @moduledoc false
+  # Splits frames into datagrams of any size, and reassembles them. Pure.
+  #
+  # A frame is split into segments, one per datagram. A datagram begins with `seq` (64 bits, never
+  # used twice with a key). The rest is encrypted and authenticated by AES-128-GCM, under a key
+  # that both sides agreed on over their connection:
+  #
+  # | bits | |
+  # |---|---|
+  # | 32 | set: the number of the frame |
+  # | 16, 16 | number of the segment (from 0), number of segments |
+  # | 64 | messages sent in earlier sets |
+  # | 32 | messages in this set |
+  # | | the segment |
+  #
+  # The receiver reassembles sets from segments that may arrive in any order, more than once, or
+  # never. It gives up an incomplete set when two later ones are complete. Sets are returned in
+  # order. The exact number of messages lost before each is known, since every set carries the
+  # number of messages sent before it.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @header 20
@@ -57,7 +47,20 @@ defmodule Situ.Link.Wire.DatagramCodec do
   @spec size_range() :: {pos_integer(), pos_integer()}
   def size_range, do: {@min, @max}
 
-  @doc "Returns a sender for datagrams of at most `size` bytes."
+  @doc """
+  Returns a sender for datagrams of at most `size` bytes.
+
+      iex> alias Situ.Link.Wire.DatagramCodec
+      iex> key = <<7::128>>
+      iex> sender = DatagramCodec.new_sender(key, 80)
+      iex> {[a, b], _} = DatagramCodec.split_frame(sender, "a frame that is longer than its datagrams are", 3)
+      iex> receiver = DatagramCodec.new_receiver(key)
+      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
+      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
+      iex> {[{0, frame}], _} = DatagramCodec.receive_datagram(receiver, a)
+      iex> frame
+      "a frame that is longer than its datagrams are"
+  """
   @spec new_sender(<<_::128>>, pos_integer()) :: sender()
   def new_sender(<<key::binary-16>>, size) when size in @min..@max,
     do: %Sender{key: key, size: size - @overhead}

@@ -1,40 +1,31 @@
 defmodule Situ.Link.Wire.Frame do
-  @moduledoc """
-  Encodes and decodes the frames of a link. Pure.
-
-  On the wire a frame is a 32-bit big-endian length (which TCP, TLS and Unix sockets add and strip with `packet: 4`) and
-  a body. The body is one byte for the kind of the frame, followed by the fields in the table. Integers are big-endian,
-  `time` is a signed 64-bit number of nanoseconds, and `json` is the rest of the body.
-
-  | byte | frame | body | from |
-  |---|---|---|---|
-  | 1 | `{:hello, version, oldest, nonce}` | `"SITU"`, version 16, oldest version 16, nonce of 16 bytes | both |
-  | 2 | `{:login, proof, map}` | HMAC of 32 bytes, json | client |
-  | 3 | `{:welcome, proof, map}` | HMAC of 32 bytes, json | server |
-  | 4 | `{:refused, map}` | json: `code`, `what`, `why`, `fix` | server |
-  | 5 | `{:streams, map}` | json: `streams`, `complete` | server |
-  | 6 | `{:subscribe, channel, map}` | channel 32, json | client |
-  | 7 | `{:subscribed, channel, map}` | channel 32, json | server |
-  | 8 | `{:unsubscribe, channel}` | channel 32 | client |
-  | 9 | `{:credit, channel, bytes}` | channel 32, bytes 32 | client |
-  | 10 | `{:batch, channel, first, last, count, payload}` | channel 32, time, time, count 32, payload | server |
-  | 11 | `{:part, channel, last?, bytes}` | channel 32, 1 when it is the last, bytes of the body of a batch | server |
-  | 12 | `{:closed, channel, time}` | channel 32, time | server |
-  | 13 | `{:lost, channel, count}` | channel 32, count 64 | server |
-  | 14 | `{:ping, t0}` | time | client |
-  | 15 | `{:pong, t0, t1, t2}` | three times | server |
-  | 16 | `{:request, id, map}` | id 32, json | client |
-  | 17 | `{:reply, id, payload}` | id 32, bytes | server |
-
-      iex> alias Situ.Link.Wire.Frame
-      iex> bytes = {:credit, 7, 65_536} |> Frame.encode() |> IO.iodata_to_binary()
-      iex> bytes
-      <<9, 0, 0, 0, 7, 0, 1, 0, 0>>
-      iex> Frame.decode(bytes)
-      {:ok, {:credit, 7, 65_536}}
-      iex> Frame.decode("GET / HTTP/1.1")
-      {:error, "no frame begins with the byte 71"}
-  """
+  @moduledoc false
+  # Encodes and decodes the frames of a link. Pure.
+  #
+  # On the wire a frame is a 32-bit big-endian length (which TCP, TLS and Unix sockets add and
+  # strip with `packet: 4`) and a body. The body is one byte for the kind of the frame, followed
+  # by the fields in the table. Integers are big-endian, `time` is a signed 64-bit number of
+  # nanoseconds, and `json` is the rest of the body.
+  #
+  # | byte | frame | body | from |
+  # |---|---|---|---|
+  # | 1 | `{:hello, version, oldest, nonce}` | `"SITU"`, version 16, oldest version 16, nonce of 16 bytes | both |
+  # | 2 | `{:login, proof, map}` | HMAC of 32 bytes, json | client |
+  # | 3 | `{:welcome, proof, map}` | HMAC of 32 bytes, json | server |
+  # | 4 | `{:refused, map}` | json: `code`, `what`, `why`, `fix` | server |
+  # | 5 | `{:streams, map}` | json: `streams`, `complete` | server |
+  # | 6 | `{:subscribe, channel, map}` | channel 32, json | client |
+  # | 7 | `{:subscribed, channel, map}` | channel 32, json | server |
+  # | 8 | `{:unsubscribe, channel}` | channel 32 | client |
+  # | 9 | `{:credit, channel, bytes}` | channel 32, bytes 32 | client |
+  # | 10 | `{:batch, channel, first, last, count, payload}` | channel 32, time, time, count 32, payload | server |
+  # | 11 | `{:part, channel, last?, bytes}` | channel 32, 1 when it is the last, bytes of the body of a batch | server |
+  # | 12 | `{:closed, channel, time}` | channel 32, time | server |
+  # | 13 | `{:lost, channel, count}` | channel 32, count 64 | server |
+  # | 14 | `{:ping, t0}` | time | client |
+  # | 15 | `{:pong, t0, t1, t2}` | three times | server |
+  # | 16 | `{:request, id, map}` | id 32, json | client |
+  # | 17 | `{:reply, id, payload}` | id 32, bytes | server |
   # See docs/adr/0110-links-serve-recordings.md.
   alias Situ.JSON
 
@@ -65,7 +56,18 @@ defmodule Situ.Link.Wire.Frame do
   @spec protocol_version() :: 0..0xFFFF
   def protocol_version, do: @version
 
-  @doc "Encodes the body of a frame."
+  @doc """
+  Encodes the body of a frame.
+
+      iex> alias Situ.Link.Wire.Frame
+      iex> bytes = {:credit, 7, 65_536} |> Frame.encode() |> IO.iodata_to_binary()
+      iex> bytes
+      <<9, 0, 0, 0, 7, 0, 1, 0, 0>>
+      iex> Frame.decode(bytes)
+      {:ok, {:credit, 7, 65_536}}
+      iex> Frame.decode("GET / HTTP/1.1")
+      {:error, "no frame begins with the byte 71"}
+  """
   @spec encode(t()) :: iodata()
   def encode({:hello, version, oldest, <<nonce::binary-16>>}),
     do: <<1, @magic, version::16, oldest::16, nonce::binary>>

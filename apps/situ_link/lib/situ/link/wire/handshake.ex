@@ -1,24 +1,14 @@
 defmodule Situ.Link.Wire.Handshake do
-  @moduledoc """
-  Authenticates both sides of a link: each sends its version and a nonce, then proves that it knows the token. Pure.
-
-  The token is never sent. A proof is the HMAC-SHA256 of the prover's role and both nonces under the token, so an
-  eavesdropper cannot reuse it, and a client detects a server that does not know the token.
-
-  Each side announces the newest and the oldest version it supports. The link uses the older of the two newest versions.
-
-      iex> alias Situ.Link.Wire.Handshake
-      iex> {ours, theirs} = {Handshake.new_nonce(), Handshake.new_nonce()}
-      iex> proof = Handshake.build_proof("secret", :client, ours, theirs)
-      iex> Handshake.valid_proof?("secret", :client, ours, theirs, proof)
-      true
-      iex> Handshake.valid_proof?("Secret", :client, ours, theirs, proof)
-      false
-      iex> Handshake.agree_version({3, 2}, {5, 3})
-      {:ok, 3}
-      iex> Handshake.agree_version({1, 1}, {5, 2})
-      :error
-  """
+  @moduledoc false
+  # Authenticates both sides of a link: each sends its version and a nonce, then proves that it
+  # knows the token. Pure.
+  #
+  # The token is never sent. A proof is the HMAC-SHA256 of the prover's role and both nonces under
+  # the token, so an eavesdropper cannot reuse it, and a client detects a server that does not
+  # know the token.
+  #
+  # Each side announces the newest and the oldest version it supports. The link uses the older of
+  # the two newest versions.
   alias Situ.Error
   alias Situ.Link.Wire.Frame
 
@@ -64,7 +54,21 @@ defmodule Situ.Link.Wire.Handshake do
   def hide_token(token) when is_binary(token), do: fn -> token end
   def hide_token(token) when is_function(token, 0), do: token
 
-  @doc "Builds the proof that `role` knows the token."
+  @doc """
+  Builds the proof that `role` knows the token.
+
+      iex> alias Situ.Link.Wire.Handshake
+      iex> {ours, theirs} = {Handshake.new_nonce(), Handshake.new_nonce()}
+      iex> proof = Handshake.build_proof("secret", :client, ours, theirs)
+      iex> Handshake.valid_proof?("secret", :client, ours, theirs, proof)
+      true
+      iex> Handshake.valid_proof?("Secret", :client, ours, theirs, proof)
+      false
+      iex> Handshake.agree_version({3, 2}, {5, 3})
+      {:ok, 3}
+      iex> Handshake.agree_version({1, 1}, {5, 2})
+      :error
+  """
   @spec build_proof(token(), role(), server_nonce :: binary(), client_nonce :: binary()) ::
           binary()
   def build_proof(token, role, server_nonce, client_nonce) when is_function(token, 0),

@@ -1,10 +1,19 @@
 defmodule Situ.Link.Wire.Quota do
-  @moduledoc """
-  Limits the bytes and messages per second that a server sends, shared by its clients.
+  @moduledoc false
+  # Limits the bytes and messages per second that a server sends, shared by its clients.
+  #
+  # The quota is the time by which everything sent so far is paid for (the generic cell rate
+  # algorithm, ITU-T I.371). Sending adds its cost, and a sender that is more than a tenth of a
+  # second ahead waits for the excess. Any process may use the quota.
+  @burst_ns 100_000_000
 
-  The quota is the time by which everything sent so far is paid for (the generic cell rate algorithm, ITU-T I.371).
-  Sending adds its cost, and a sender that is more than a tenth of a second ahead waits for the excess. Any process may
-  use the quota.
+  defstruct limits: []
+
+  @opaque t :: %__MODULE__{limits: [{:bytes | :messages, number(), :atomics.atomics_ref()}]}
+  @type limit :: {:bytes_per_second | :messages_per_second, pos_integer()}
+
+  @doc """
+  Builds a quota from `nil` (no limit), one limit, or a list of limits.
 
       iex> alias Situ.Link.Wire.Quota
       iex> quota = Quota.new({:bytes_per_second, 1_000_000})
@@ -13,14 +22,6 @@ defmodule Situ.Link.Wire.Quota do
       iex> Quota.charge_sent(Quota.new(nil), 1_000_000, 1, 0)
       0
   """
-  @burst_ns 100_000_000
-
-  defstruct limits: []
-
-  @opaque t :: %__MODULE__{limits: [{:bytes | :messages, number(), :atomics.atomics_ref()}]}
-  @type limit :: {:bytes_per_second | :messages_per_second, pos_integer()}
-
-  @doc "Builds a quota from `nil` (no limit), one limit, or a list of limits."
   @spec new(nil | limit() | [limit()]) :: t()
   def new(nil), do: %__MODULE__{}
 

@@ -1,6 +1,15 @@
 defmodule Situ.Link.Wire.Schedule do
-  @moduledoc """
-  Decides which channel sends next: the highest priority first, round-robin within a priority. Pure.
+  @moduledoc false
+  # Decides which channel sends next: the highest priority first, round-robin within a priority.
+  # Pure.
+  defstruct queues: %{}, members: MapSet.new()
+  @opaque t :: %__MODULE__{}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc """
+  Appends `key` to the queue of its priority, unless it is already queued.
 
       iex> alias Situ.Link.Wire.Schedule
       iex> schedule = Enum.reduce([a: 0, b: 5, c: 0, d: 5], Schedule.new(), fn {k, p}, s -> Schedule.put(s, k, p) end)
@@ -12,13 +21,6 @@ defmodule Situ.Link.Wire.Schedule do
       iex> {b, d, again, a}
       {:b, :d, :b, :a}
   """
-  defstruct queues: %{}, members: MapSet.new()
-  @opaque t :: %__MODULE__{}
-
-  @spec new() :: t()
-  def new, do: %__MODULE__{}
-
-  @doc "Appends `key` to the queue of its priority, unless it is already queued."
   @spec put(t(), term(), integer()) :: t()
   def put(%__MODULE__{} = schedule, key, priority) do
     if MapSet.member?(schedule.members, key) do

@@ -6,7 +6,16 @@ defmodule Situ.Live.Test.Browser do
   alias Situ.Live.ViewServer
   alias Situ.Live.Test.DiffTree
 
-  defstruct [:view, :topic, :join_result, :title, tree: %{}, rows: %{}, events: [], visits: []] ++
+  defstruct [
+              :view,
+              :topic,
+              :join_result,
+              tree: %{},
+              rows: %{},
+              events: [],
+              visits: [],
+              title: nil
+            ] ++
               [ref: 1, callers: %{}, exit_reason: nil]
 
   def start_link(join), do: GenServer.start_link(__MODULE__, join)

@@ -1,8 +1,6 @@
 defmodule Situ.Media.Device.Alsa do
-  @moduledoc """
-  Microphones and speakers of the Linux kernel (ALSA): `alsa:default`, `alsa:hw:0,0`, `alsa:plughw:CARD=PCH,DEV=0`.
-  Lists only sound cards; names from `.asoundrc` work too. Times are wall time.
-  """
+  @moduledoc false
+  # Microphones and speakers of the Linux kernel (ALSA). Lists only sound cards; names from `.asoundrc` work too.
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 

@@ -1,10 +1,6 @@
 defmodule Situ.Media.Device.Input do
-  @moduledoc """
-  All other input devices of FFmpeg: `lavfi:testsrc=size=640x480:rate=30` (a test image), `x11grab::0.0` (the
-  screen), or any other input with `args:` (`input:NAME` and `args: ["-f", FORMAT]`).
-
-  The first frame is stamped with the pipeline's time when it arrives; later frames keep their distance to it.
-  """
+  @moduledoc false
+  # All other input devices of FFmpeg. `Situ.Media.Device` lists their names.
   @behaviour Situ.Media.Device
 
   @impl true

@@ -1,8 +1,7 @@
 defmodule Situ.Media.Device.Pulse do
-  @moduledoc """
-  Microphones and speakers of PulseAudio (or PipeWire, which implements its protocol): `pulse:default`, `pulse:NAME`.
-  Times are wall time, smoothed over the device's own clock.
-  """
+  @moduledoc false
+  # Microphones and speakers of PulseAudio, or of PipeWire, which implements its protocol. Times are wall time, smoothed
+  # over the device's own clock.
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 

@@ -1,12 +1,6 @@
 defmodule Situ.Media.Device.Simulated do
-  @moduledoc """
-  A camera and a microphone that replay a file in real time, in a loop: `simulated:talk1.mp4`. With it, pipelines can be
-  tested without hardware.
-
-  Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are
-  synchronized. With `?once` at the end of the address (`simulated:talk1.mp4?once`) the file is played once, and then
-  the source completes.
-  """
+  @moduledoc false
+  # A camera and a microphone that replay a file in real time, so that pipelines can be tested without hardware.
   @behaviour Situ.Media.Device
   alias Situ.Media.{Device, FFmpeg}
 

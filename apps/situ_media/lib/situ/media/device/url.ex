@@ -1,10 +1,6 @@
 defmodule Situ.Media.Device.Url do
-  @moduledoc """
-  Network streams that FFmpeg can read: RTSP cameras, UDP and RTP, SRT, HTTP, RTMP.
-
-  The exact time steps of the sender's clock are kept between frames. The first frame is stamped with the pipeline's
-  time when it arrives.
-  """
+  @moduledoc false
+  # Network streams that FFmpeg can read: RTSP cameras, UDP and RTP, SRT, HTTP, RTMP.
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 

@@ -1,8 +1,7 @@
 defmodule Situ.Media.Device.V4L2 do
-  @moduledoc """
-  Cameras of the Linux kernel (Video4Linux): `v4l2:/dev/video0`. The kernel stamps each image with the wall time at
-  which it was taken.
-  """
+  @moduledoc false
+  # Cameras of the Linux kernel (Video4Linux): `v4l2:/dev/video0`. The kernel stamps each image
+  # with the wall time at which it was taken.
   @behaviour Situ.Media.Device
   alias Situ.Media.Device
 

@@ -1,22 +1,13 @@
 defmodule Situ.Media.FFmpeg.Reader do
-  @moduledoc """
-  A process that runs one `ffmpeg` and returns its decoded frames one by one on request.
-
-  Nothing is read ahead: frames that are not requested stay in the socket, and `ffmpeg` waits. Frames carry media time
-  in nanoseconds (`Situ.Media.Nut.Demuxer`).
-
-      {:ok, reader} = Situ.Media.FFmpeg.Reader.start_link(
-        args: Situ.Media.FFmpeg.local_file("talk.mp4") ++ ~w(-c:v rawvideo -pix_fmt bgr24 -an), name: "talk.mp4")
-      {:ok, streams} = Situ.Media.FFmpeg.Reader.fetch_streams(reader)
-      {:ok, %{stream: 0, time: 0, data: pixels}} = Situ.Media.FFmpeg.Reader.next_frame(reader)
-
-  Pull frames with `next_frame/2`, or let the reader push them. After `request_frames(reader, n)` the owner receives
-  up to `n` messages `{Situ.Media.FFmpeg.Reader, reader, result}`. `result` is `{:streams, streams}` (sent first, and
-  not counted), `{:frame, frame}`, `:eof` or `{:error, error}`.
-
-  The last result is `:eof` if `ffmpeg` reported no errors. Otherwise it is `{:error, error}` with the messages of
-  `ffmpeg`, after all readable frames were returned.
-  """
+  @moduledoc false
+  # A process that runs one `ffmpeg` and returns its decoded frames one by one on request, with media time in
+  # nanoseconds. Nothing is read ahead: frames that are not requested stay in the socket, and `ffmpeg` waits.
+  #
+  # Pull frames with `next_frame/2`, or let the reader push them. After `request_frames(reader,
+  # n)` the owner receives up to `n` messages `{Situ.Media.FFmpeg.Reader, reader, result}`.
+  # `result` is `{:streams, streams}` (sent first, and not counted), `{:frame, frame}`, `:eof` or
+  # `{:error, error}`. The last result is `:eof` if `ffmpeg` reported no errors. Otherwise it is
+  # the error with the messages of `ffmpeg`, after all readable frames were returned.
   use GenServer, restart: :temporary, shutdown: 1_000
 
   alias Situ.Error

@@ -1,16 +1,10 @@
 defmodule Situ.Media.FFmpeg.Writer do
-  @moduledoc """
-  A process that runs one `ffmpeg` and feeds it raw frames, for encoders and speakers.
-
-      {:ok, writer} = Situ.Media.FFmpeg.Writer.start_link(
-        streams: [%{id: 0, class: :video, fourcc: <<"BGR", 24>>, width: 640, height: 480}],
-        args: ~w(-c:v libx264 out.mp4), name: "out.mp4")
-      :ok = Situ.Media.FFmpeg.Writer.write_frame(writer, 0, 40_000_000, pixels)
-      :ok = Situ.Media.FFmpeg.Writer.finish_output(writer)
-
-  `write_frame/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline
-  down. If the writer ends without `finish_output/2`, `ffmpeg` still sees the end of its input and finishes the file.
-  """
+  @moduledoc false
+  # A process that runs one `ffmpeg` and feeds it raw frames, for encoders and speakers.
+  #
+  # `write_frame/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder
+  # slows its pipeline down. If the writer ends without `finish_output/2`, `ffmpeg` still sees the
+  # end of its input and finishes the file.
   use GenServer, restart: :temporary, shutdown: 1_000
 
   alias Situ.Error

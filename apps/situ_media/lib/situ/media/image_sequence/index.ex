@@ -1,11 +1,7 @@
 defmodule Situ.Media.ImageSequence.Index do
-  @moduledoc """
-  The times of a folder of images: `times.csv`, with one line per file and its originating time in nanoseconds.
-
-      file,originating_time
-      000001.jpg,1700000000000000000
-      000002.jpg,1700000000040000000
-  """
+  @moduledoc false
+  # The times of a folder of images: `times.csv`, with one line per file and its originating time in nanoseconds, such
+  # as `000001.jpg,1700000000000000000`.
   alias Situ.Error
 
   @name "times.csv"

@@ -1,15 +1,11 @@
 defmodule Situ.Media.Nut.Demuxer do
-  @moduledoc """
-  Reads a NUT stream frame by frame from a function that returns the exact number of bytes requested.
-
-  The demuxer reads small headers byte by byte and each payload in one call, so a payload from a socket is the binary
-  that the socket allocated, without copies.
-
-      {:ok, demuxer} = Situ.Media.Nut.Demuxer.open(fn n -> :gen_tcp.recv(socket, n) end)
-      {:ok, %{stream: 0, time: 40_000_000, data: pixels}, demuxer} = Situ.Media.Nut.Demuxer.next_frame(demuxer)
-
-  Input is not trusted: every length is limited (`:max_frame`, default 512 MiB), and header checksums are verified.
-  """
+  @moduledoc false
+  # Reads a NUT stream frame by frame from a function that returns the exact number of bytes
+  # requested.
+  #
+  # The demuxer reads small headers byte by byte and each payload in one call, so a payload from a
+  # socket is the binary that the socket allocated, without copies. Input is not trusted: every
+  # length is limited (`:max_frame`, default 512 MiB), and header checksums are verified.
   import Bitwise
   alias Situ.Media.Nut
   alias Situ.Media.Nut.Headers

@@ -1,19 +1,9 @@
 defmodule Situ.Media.Nut.Muxer do
-  @moduledoc """
-  Writes a NUT stream: call `encode_header/1` once, then `encode_frame/3` for each image or audio buffer. Both return
-  iodata in which the payload is not copied.
-
-  All times are nanoseconds and must not be negative.
-
-      iex> alias Situ.Media.Nut.{Demuxer, Muxer}
-      iex> streams = [%{id: 0, class: :video, fourcc: "Y800", width: 2, height: 1}]
-      iex> bytes = IO.iodata_to_binary([Muxer.encode_header(streams), Muxer.encode_frame(0, 40_000_000, <<1, 2>>)])
-      iex> {:ok, file} = StringIO.open(bytes, encoding: :latin1)
-      iex> {:ok, demuxer} = Demuxer.open(fn n -> {:ok, IO.binread(file, n)} end)
-      iex> {:ok, frame, _} = Demuxer.next_frame(demuxer)
-      iex> {frame.time, frame.data}
-      {40_000_000, <<1, 2>>}
-  """
+  @moduledoc false
+  # Writes a NUT stream: call `encode_header/1` once, then `encode_frame/3` for each image or
+  # audio buffer. Both return iodata in which the payload is not copied.
+  #
+  # All times are nanoseconds and must not be negative.
   alias Situ.Media.Nut
 
   # Headers state the maximum distance of a frame from a syncpoint, and frames larger than twice this distance need a
@@ -40,7 +30,19 @@ defmodule Situ.Media.Nut.Muxer do
               channels: pos_integer()
             }
 
-  @doc "Encodes the file id, the main header and one header per stream. The first frame's syncpoint ends the headers."
+  @doc """
+  Encodes the file id, the main header and one header per stream. The first frame's syncpoint ends
+  the headers.
+
+      iex> alias Situ.Media.Nut.{Demuxer, Muxer}
+      iex> streams = [%{id: 0, class: :video, fourcc: "Y800", width: 2, height: 1}]
+      iex> bytes = IO.iodata_to_binary([Muxer.encode_header(streams), Muxer.encode_frame(0, 40_000_000, <<1, 2>>)])
+      iex> {:ok, file} = StringIO.open(bytes, encoding: :latin1)
+      iex> {:ok, demuxer} = Demuxer.open(fn n -> {:ok, IO.binread(file, n)} end)
+      iex> {:ok, frame, _} = Demuxer.next_frame(demuxer)
+      iex> {frame.time, frame.data}
+      {40_000_000, <<1, 2>>}
+  """
   @spec encode_header([stream(), ...]) :: iodata()
   def encode_header(streams) do
     [

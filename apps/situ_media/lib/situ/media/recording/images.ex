@@ -8,7 +8,7 @@ defmodule Situ.Media.Recording.Images do
   alias Situ.Media.Recording.{Servers, Index, OpenFile}
 
   @idle_ms 20_000
-  @kept_bytes 64 * 1_048_576
+  @cache_bytes 64 * 1_048_576
   # Maximum size of one reply, however many images are requested.
   @answer_bytes 16 * 1_048_576
   # After a step back by at most this many images, the previous images are likely to be requested next, so they are
@@ -22,7 +22,7 @@ defmodule Situ.Media.Recording.Images do
   @skip_ns 1.5
   @read_ns 6.0
 
-  defstruct [:recording, :asked, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
+  defstruct [:recording, :last_ordinal, decoders: [], cache: %{}, order: :queue.new(), bytes: 0]
 
   @doc """
   Returns up to `limit` images from `ordinal` as `{:ok, [{ordinal, image}]}`. Fewer images are returned if they are
@@ -48,7 +48,7 @@ defmodule Situ.Media.Recording.Images do
         error -> {error, state}
       end
 
-    {:reply, result, %{state | asked: ordinal}, @idle_ms}
+    {:reply, result, %{state | last_ordinal: ordinal}, @idle_ms}
   end
 
   @impl true
@@ -71,9 +71,9 @@ defmodule Situ.Media.Recording.Images do
   defp cached_images(state, ordinal, limit) do
     ordinal
     |> Stream.iterate(&(&1 + 1))
-    |> Stream.take_while(&is_map_key(state.kept, &1))
+    |> Stream.take_while(&is_map_key(state.cache, &1))
     |> Enum.take(limit)
-    |> Enum.map(&{&1, state.kept[&1]})
+    |> Enum.map(&{&1, state.cache[&1]})
   end
 
   defp decode_images(state, ordinal, limit) do
@@ -103,8 +103,8 @@ defmodule Situ.Media.Recording.Images do
     ahead * pixels * (@skip_ns + @read_ns) <= @start_ns + from_key * pixels * @skip_ns
   end
 
-  defp first_wanted(%{asked: asked}, ordinal, key)
-       when asked != nil and (asked - ordinal) in 1..@back,
+  defp first_wanted(%{last_ordinal: last_ordinal}, ordinal, key)
+       when last_ordinal != nil and (last_ordinal - ordinal) in 1..@back,
        do: max(key, ordinal - @back)
 
   defp first_wanted(_state, ordinal, _key), do: ordinal
@@ -161,25 +161,26 @@ defmodule Situ.Media.Recording.Images do
     end
   end
 
-  defp cache_image(%{kept: kept} = state, ordinal, _image) when is_map_key(kept, ordinal),
+  defp cache_image(%{cache: cache} = state, ordinal, _image) when is_map_key(cache, ordinal),
     do: state
 
   defp cache_image(state, ordinal, image) do
     evict_oldest(%{
       state
-      | kept: Map.put(state.kept, ordinal, image),
+      | cache: Map.put(state.cache, ordinal, image),
         order: :queue.in(ordinal, state.order),
         bytes: state.bytes + byte_size(image.data)
     })
   end
 
   defp evict_oldest(%{bytes: bytes} = state)
-       when bytes <= @kept_bytes or map_size(state.kept) == 1,
+       when bytes <= @cache_bytes or map_size(state.cache) == 1,
        do: state
 
   defp evict_oldest(state) do
     {{:value, ordinal}, order} = :queue.out(state.order)
-    {image, kept} = Map.pop!(state.kept, ordinal)
-    evict_oldest(%{state | kept: kept, order: order, bytes: state.bytes - byte_size(image.data)})
+    {image, cache} = Map.pop!(state.cache, ordinal)
+
+    evict_oldest(%{state | cache: cache, order: order, bytes: state.bytes - byte_size(image.data)})
   end
 end

@@ -1,19 +1,11 @@
 defmodule Situ.Media.Recording.Index do
-  @moduledoc """
-  An index of the images and the audio of a media file, built by reading its packets without decoding them.
-
-  `pictures` and `keys` hold packed numbers: the times of all images (media time, ns, increasing), and the ordinals of
-  the images at which a decoder can start. Two hours at 24 images per second take 1.4 MB, shared by all processes that
-  hold them.
-
-      iex> index = %Situ.Media.Recording.Index{
-      ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}
-      iex> alias Situ.Media.Recording.Index
-      iex> {Index.image_count(index), Index.image_time(index, 2), Index.seek_image(index, 41)}
-      {4, 80, 2}
-      iex> {Index.nearest_image(index, 55), Index.key_image(index, 3)}
-      {1, 2}
-  """
+  @moduledoc false
+  # An index of the images and the audio of a media file, built by reading its packets without
+  # decoding them.
+  #
+  # `pictures` and `keys` hold packed numbers: the times of all images (media time, ns,
+  # increasing), and the ordinals of the images at which a decoder can start. Two hours at 24
+  # images per second take 1.4 MB, shared by all processes that hold them.
   alias Situ.Error
   alias Situ.Media.{FFmpeg, FileInfo, Nut}
   alias Situ.Media.Recording.Packets
@@ -117,7 +109,17 @@ defmodule Situ.Media.Recording.Index do
     )
   end
 
-  @doc "Returns the number of images."
+  @doc """
+  Returns the number of images.
+
+      iex> index = %Situ.Media.Recording.Index{
+      ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}
+      iex> alias Situ.Media.Recording.Index
+      iex> {Index.image_count(index), Index.image_time(index, 2), Index.seek_image(index, 41)}
+      {4, 80, 2}
+      iex> {Index.nearest_image(index, 55), Index.key_image(index, 3)}
+      {1, 2}
+  """
   @spec image_count(t()) :: non_neg_integer()
   def image_count(index), do: div(byte_size(index.pictures), 8)
 

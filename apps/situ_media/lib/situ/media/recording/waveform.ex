@@ -1,15 +1,8 @@
 defmodule Situ.Media.Recording.Waveform do
-  @moduledoc """
-  A compact waveform of an audio stream. It stores the minimum, maximum, last value and count of every non-empty
-  interval of 2^24 ns (17 ms), packed (6 MB per hour), and merges them to the width that a plot needs. Gaps take no
-  space, however long they are according to the file.
-
-      iex> alias Situ.Media.Recording.Waveform
-      iex> points = for i <- 0..99, do: {i * 1_000_000, -i / 1, i / 1, i / 1, 8}
-      iex> waveform = Waveform.new() |> Waveform.add_points(points) |> Waveform.pack_bins()
-      iex> Waveform.list_bins(waveform, 0, 40_000_000, 25)
-      [{0, -33.0, 33.0, 33.0, 272}, {33_554_432, -67.0, 67.0, 67.0, 272}]
-  """
+  @moduledoc false
+  # A compact waveform of an audio stream. It stores the minimum, maximum, last value and count of
+  # every non-empty interval of 2^24 ns (17 ms), packed (6 MB per hour), and merges them to the
+  # width that a plot needs. Gaps take no space, however long they are according to the file.
   import Bitwise
 
   @level 24
@@ -26,7 +19,15 @@ defmodule Situ.Media.Recording.Waveform do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Adds points in time order, as returned by `Situ.AudioOps.points/2`."
+  @doc """
+  Adds points in time order, as returned by `Situ.AudioOps.points/2`.
+
+      iex> alias Situ.Media.Recording.Waveform
+      iex> points = for i <- 0..99, do: {i * 1_000_000, -i / 1, i / 1, i / 1, 8}
+      iex> waveform = Waveform.new() |> Waveform.add_points(points) |> Waveform.pack_bins()
+      iex> Waveform.list_bins(waveform, 0, 40_000_000, 25)
+      [{0, -33.0, 33.0, 33.0, 272}, {33_554_432, -67.0, 67.0, 67.0, 272}]
+  """
   @spec add_points(t(), [point()]) :: t()
   def add_points(waveform, points), do: Enum.reduce(points, waveform, &add_point/2)
 

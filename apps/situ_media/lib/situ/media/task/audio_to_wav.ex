@@ -1,10 +1,10 @@
 defmodule Situ.Media.Task.AudioToWav do
-  @moduledoc """
-  The batch task `sound-to-wav`. It writes an audio stream of each session to a WAV file next to its recordings.
-
-  It implements the task behaviour of `situ_dataset` without naming it, because `situ_media` does not depend on that
-  app.
-  """
+  @moduledoc false
+  # The batch task `sound-to-wav`. It writes an audio stream of each session to a WAV file next to
+  # its recordings.
+  #
+  # It implements the task behaviour of `situ_dataset` without naming it, because `situ_media`
+  # does not depend on that app.
 
   @doc "Returns the description of the task."
   @spec task() :: map()

@@ -1,7 +1,7 @@
 defmodule Situ.Media.Task.EncodeImages do
-  @moduledoc """
-  The batch task `encode-pictures`. It copies a stream of raw images as JPEG into a new partition of each session.
-  """
+  @moduledoc false
+  # The batch task `encode-pictures`. It copies a stream of raw images as JPEG into a new
+  # partition of each session.
 
   @doc "Returns the description of the task."
   @spec task() :: map()

@@ -1,7 +1,6 @@
 defmodule Situ.Media.Wav.Format do
-  @moduledoc """
-  Encodes and parses the `fmt ` chunk of a WAV file, which describes the samples.
-  """
+  @moduledoc false
+  # Encodes and parses the `fmt ` chunk of a WAV file, which describes the samples.
   alias Situ.{AudioFormat, Error}
 
   @pcm 1

@@ -1,14 +1,7 @@
 defmodule Situ.Media.Wav.Reader do
-  @moduledoc """
-  Reads a WAV file in buffers, starting at any time.
-
-      {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
-      {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next_buffer(reader)
-
-  The time of a buffer is its end, counted in samples from the start of the file, so it is exact to the sample at any
-  rate. After the last complete frame `next_buffer/1` returns `:eof`, or an error if the file is shorter than its header
-  states.
-  """
+  @moduledoc false
+  # Reads a WAV file in buffers, starting at any time. The time of a buffer is its end, counted in samples from the
+  # start of the file, so it is exact to the sample at any rate.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Wav.Format
 
@@ -95,7 +88,10 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  @doc "Reads the next buffer."
+  @doc """
+  Reads the next buffer. After the last complete frame it returns `:eof`, or an error if the file is shorter than its
+  header states.
+  """
   @spec next_buffer(t()) ::
           {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
   def next_buffer(%__MODULE__{frame: frame, last: last} = reader) when frame < last do

@@ -1,13 +1,8 @@
 defmodule Situ.Media.Wav.Recording do
-  @moduledoc """
-  Opens WAV files as recordings. `Situ.Store.open("talk.wav")` has one stream, `Audio`, with buffers of 20 ms.
-
-  The originating time of a buffer is the time of its end. The file begins at the time stored in it (ICRD), or at 0. The
-  option `start:` (ns) overrides it: `Situ.Store.open("talk.wav", reader_opts: [start: time])`. A truncated file is read
-  up to its end, and `Situ.Store.info/1` lists the missing data under `damage`. `Situ.Media.Wav` lists the supported
-  kinds of WAV.
-  """
-  @behaviour Situ.Store.Reader
+  @moduledoc false
+  # Opens WAV files as recordings. `Situ.Media.Wav` describes the stream. A truncated file is read up to its end.
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{AudioBuffer, AudioFormat, Error, Message}
   alias Situ.Media.Wav.Reader

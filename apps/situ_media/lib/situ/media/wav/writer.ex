@@ -1,13 +1,8 @@
 defmodule Situ.Media.Wav.Writer do
-  @moduledoc """
-  Writes a WAV file buffer by buffer. The header is valid from the start (readers take the audio up to the end of the
-  file), so audio written before a crash is readable. `finish_file/1` stores the final lengths. Beyond 4 GB the file
-  becomes RF64.
-
-      {:ok, writer} = Situ.Media.Wav.Writer.open("out.wav", Situ.AudioFormat.pcm(48_000, 2))
-      {:ok, writer} = Situ.Media.Wav.Writer.append_buffer(writer, buffer)
-      :ok = Situ.Media.Wav.Writer.finish_file(writer)
-  """
+  @moduledoc false
+  # Writes a WAV file buffer by buffer. The header is valid from the start (readers take the audio
+  # up to the end of the file), so audio written before a crash is readable. `finish_file/1`
+  # stores the final lengths. Beyond 4 GB the file becomes RF64.
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Wav.Format
 

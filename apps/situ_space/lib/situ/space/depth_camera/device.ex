@@ -1,4 +1,17 @@
 defmodule Situ.Space.DepthCamera.Device do
+  @moduledoc """
+  A depth camera that is a device of the Linux kernel and delivers V4L2's format Z16, 16 bits per pixel (RealSense
+  cameras and others with such drivers).
+
+      lens = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {383, 383}, principal: {320, 240})
+      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Device, device: "/dev/video2", intrinsics: lens})
+
+  `situ devices` lists the nodes of a camera with their formats; the node with `Z16` delivers depth. Timestamps, dropped
+  images and the loss of the camera are handled as in `Situ.Media.Camera`. The tests use a device that FFmpeg
+  synthesizes (`lavfi:`); it was not tried on hardware. If the images and the intrinsics differ in size, an error
+  reports both sizes.
+  """
+
   @schema [
     device: [
       type: :string,
@@ -35,22 +48,8 @@ defmodule Situ.Space.DepthCamera.Device do
     ]
   ]
 
-  @moduledoc """
-  A depth camera that is a device of the Linux kernel and delivers V4L2's format Z16, 16 bits per pixel (RealSense
-  cameras and others with such drivers).
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      lens = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {383, 383}, principal: {320, 240})
-      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Device, device: "/dev/video2", intrinsics: lens})
-
-  `situ devices` lists the nodes of a camera with their formats; the node with `Z16` delivers depth. Timestamps, dropped
-  images and the loss of the camera are handled as in `Situ.Media.Camera`. The tests use a device that FFmpeg
-  synthesizes (`lavfi:`); it was not tried on hardware. If the images and the intrinsics differ in size, an error
-  reports both sizes.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   @behaviour Situ.Space.DepthCamera
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Image, Pose}
   alias Situ.Media.{Camera, Device}

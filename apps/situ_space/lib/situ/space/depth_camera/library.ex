@@ -1,4 +1,26 @@
 defmodule Situ.Space.DepthCamera.Library do
+  @moduledoc """
+  A depth camera that is supported by a library in Debian: OpenNI 2 for cameras of PrimeSense, Asus (Xtion) and
+  compatible ones, libfreenect for the Kinect for Xbox 360.
+
+      camera = Situ.Space.DepthCamera.open(p, Situ.Space.DepthCamera.Library)
+      kinect = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Library, device: "freenect:0"})
+
+  The libraries run in the separate program `depth_port`, which `bin/setup --with depth` builds, so a crash ends only
+  that program. `list_cameras/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` replays a folder
+  written by libfreenect's `fakenect-record`, at its original speed.
+
+  Depth is in millimetres. libfreenect registers a Kinect's depth to its colour image (but not the depth of a folder).
+  Timestamps are arrival times in the program. A camera cannot wait: images that are not taken in time are dropped,
+  newest first, and `Situ.Pipeline.info/1` shows how many.
+
+  This was not tried on hardware. The tests use OpenNI's dummy device and folders in the format of `fakenect-record`.
+  libfreenect's tilt motor, light, microphones and accelerometer are not read.
+
+  Errors when the pipeline starts: `:no_depth_port`, `:no_camera` (with the library's message), `:no_intrinsics` if the
+  library does not report them, `:bad_camera` if images and intrinsics differ in size.
+  """
+
   @schema [
     device: [
       type: :string,
@@ -34,31 +56,8 @@ defmodule Situ.Space.DepthCamera.Library do
     ]
   ]
 
-  @moduledoc """
-  A depth camera that is supported by a library in Debian: OpenNI 2 for cameras of PrimeSense, Asus (Xtion) and
-  compatible ones, libfreenect for the Kinect for Xbox 360.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      camera = Situ.Space.DepthCamera.open(p, Situ.Space.DepthCamera.Library)
-      kinect = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Library, device: "freenect:0"})
-
-  The libraries run in the separate program `depth_port`, which `bin/setup --with depth` builds, so a crash ends only
-  that program. `list_cameras/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` replays a folder
-  written by libfreenect's `fakenect-record`, at its original speed.
-
-  Depth is in millimetres. libfreenect registers a Kinect's depth to its colour image (but not the depth of a folder).
-  Timestamps are arrival times in the program. A camera cannot wait: images that are not taken in time are dropped,
-  newest first, and `Situ.Pipeline.info/1` shows how many.
-
-  This was not tried on hardware. The tests use OpenNI's dummy device and folders in the format of `fakenect-record`.
-  libfreenect's tilt motor, light, microphones and accelerometer are not read.
-
-  Errors when the pipeline starts: `:no_depth_port`, `:no_camera` (with the library's message), `:no_intrinsics` if the
-  library does not report them, `:bad_camera` if images and intrinsics differ in size.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   # See docs/adr/0105-large-libraries-run-in-separate-programs.md. Times are times of arrival,
   # because the clocks of devices start at any value, and one of them wraps after 71 s.
   @behaviour Situ.Space.DepthCamera

@@ -1,4 +1,19 @@
 defmodule Situ.Space.DepthCamera.Recording do
+  @moduledoc """
+  A depth camera that replays the recording of one.
+
+      room = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "recordings/room.0000"})
+      d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "d435.bag"})
+
+  Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded before recording stay
+  encoded. Depth images without views become views by adding intrinsics. Bags of the RealSense SDK or its viewer
+  contain the intrinsics; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has
+  a different pose than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not
+  views.
+
+  Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images are not known.
+  """
+
   @schema [
     path: [type: :string, required: true, doc: "The path of the recording."],
     depth: [
@@ -36,23 +51,8 @@ defmodule Situ.Space.DepthCamera.Recording do
     ]
   ]
 
-  @moduledoc """
-  A depth camera that replays the recording of one.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
 
-      room = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "recordings/room.0000"})
-      d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "d435.bag"})
-
-  Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded before recording stay
-  Depth images without views become views by adding intrinsics. Bags of the RealSense SDK or its viewer contain the
-  intrinsics; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has a different
-  pose than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not views.
-
-  Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images are not known.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   @behaviour Situ.Space.DepthCamera
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Pose, Store}
   alias Situ.Space.DepthCamera

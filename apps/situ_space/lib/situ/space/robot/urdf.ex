@@ -2,7 +2,7 @@ defmodule Situ.Space.Robot.Urdf do
   @moduledoc """
   Reads URDF, ROS's file format for robots: links with their visible shapes, and joints.
 
-  Boxes, cylinders, spheres and meshes (files that `Situ.Space.GeometryFile` reads, such as `.stl`) are read with
+  Boxes, cylinders, spheres and meshes (in the formats that `Situ.Space` lists, such as `.stl`) are read with
   their poses. Materials, collisions, inertias and limits are skipped. Floating and planar joints do not move. Paths
   of mesh files are relative to the URDF file: `package://arm/meshes/link.stl` is searched for as `meshes/link.stl`
   and `arm/meshes/link.stl` in the file's folder and the four above it. A mesh that is missing or has an unknown
@@ -15,7 +15,8 @@ defmodule Situ.Space.Robot.Urdf do
   # elements, each of which would have to become a term, and `urdf-loader` in the page would not
   # help pipelines. Each joint state sends all triangles again, which is fine for simple shapes
   # and slow for scanned ones.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3, Xml}
   alias Situ.Space.{Robot, GeometryFile, FileParser}

@@ -1,12 +1,6 @@
 defmodule Situ.Space.SyntheticRoom.Person do
-  @moduledoc """
-  A person in the synthetic room at one time: the joints, and the limbs around them.
-
-      iex> alias Situ.Space.SyntheticRoom.Person
-      iex> body = Person.to_skeleton(Person.new_standing(7, {2.0, 0.0, 0.0}, 0.0))
-      iex> {body.id, map_size(body.joints), Situ.Skeleton.joint_position(body, :head)}
-      {7, 15, {2.0, 0.0, 1.62}}
-  """
+  @moduledoc false
+  # A person in the synthetic room at one time: the joints, and the limbs around them.
   alias Situ.{Pose, Quaternion, Skeleton, Vector3}
 
   @enforce_keys [:id, :place, :heading]
@@ -49,7 +43,14 @@ defmodule Situ.Space.SyntheticRoom.Person do
   @spec new_standing(term(), Vector3.t(), float()) :: t()
   def new_standing(id, place, heading), do: %__MODULE__{id: id, place: place, heading: heading}
 
-  @doc "Returns the joints in the room's frame; each has the rotation of the body."
+  @doc """
+  Returns the joints in the room's frame; each has the rotation of the body.
+
+      iex> alias Situ.Space.SyntheticRoom.Person
+      iex> body = Person.to_skeleton(Person.new_standing(7, {2.0, 0.0, 0.0}, 0.0))
+      iex> {body.id, map_size(body.joints), Situ.Skeleton.joint_position(body, :head)}
+      {7, 15, {2.0, 0.0, 1.62}}
+  """
   @spec to_skeleton(t()) :: Skeleton.t()
   def to_skeleton(%__MODULE__{} = person) do
     turn = Quaternion.from_axis_angle({0.0, 0.0, 1.0}, person.heading)

@@ -1,15 +1,7 @@
 defmodule Situ.Space.SyntheticRoom.Scene do
-  @moduledoc """
-  The synthetic room as an exact function of time. Person 0 walks back and forth, and person 1 points at a floating
-  ball. They take turns speaking.
-
-      iex> alias Situ.Space.SyntheticRoom.Scene
-      iex> scene = Scene.state_at(1.0)
-      iex> for person <- scene.people, do: {person.id, person.speaking}
-      [{0, true}, {1, false}]
-      iex> Scene.state_at(1.0) == scene
-      true
-  """
+  @moduledoc false
+  # The synthetic room as an exact function of time. Person 0 walks back and forth, and person 1
+  # points at a floating ball. They take turns speaking.
   alias Situ.{ImuReading, Pose, Quaternion, Ray3, Skeleton, Vector3}
   alias Situ.Space.SyntheticRoom.Person
 
@@ -35,6 +27,13 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   Returns the room at `t` seconds. `speech` lists when each person speaks; by default, each of them speaks for two
   seconds in turn, with pauses of half a second. `sway` is how far (metres and radians) the camera moves around its
   position.
+
+      iex> alias Situ.Space.SyntheticRoom.Scene
+      iex> scene = Scene.state_at(1.0)
+      iex> for person <- scene.people, do: {person.id, person.speaking}
+      [{0, true}, {1, false}]
+      iex> Scene.state_at(1.0) == scene
+      true
   """
   @spec state_at(number(), speech() | nil, number()) :: t()
   def state_at(t, speech \\ nil, sway \\ 0.0) do

@@ -1,17 +1,20 @@
 defmodule Situ.Space.SyntheticRoom.Voice do
-  @moduledoc """
-  The audio in the synthetic room: a speaking person hums four syllables a second, each person at a different pitch.
-  Samples depend only on their number, so the audio is the same however it is split into buffers.
+  @moduledoc false
+  # The audio in the synthetic room: a speaking person hums four syllables a second, each person
+  # at a different pitch. Samples depend only on their number, so the audio is the same however it
+  # is split into buffers.
+  @pitches %{0 => 118.0, 1 => 205.0}
+  @harmonics [{1, 1.0}, {2, 0.7}, {3, 0.5}, {4, 0.6}, {6, 0.35}, {9, 0.2}]
+  @loudness 5_200
+
+  @doc """
+  Returns the 16-bit samples with these numbers at `rate` per second; calls `speaks?` with an id
+  and seconds.
 
       iex> alias Situ.Space.SyntheticRoom.Voice
       iex> Voice.generate_samples(0..3, 16_000, fn _id, _t -> false end)
       [0, 0, 0, 0]
   """
-  @pitches %{0 => 118.0, 1 => 205.0}
-  @harmonics [{1, 1.0}, {2, 0.7}, {3, 0.5}, {4, 0.6}, {6, 0.35}, {9, 0.2}]
-  @loudness 5_200
-
-  @doc "Returns the 16-bit samples with these numbers at `rate` per second; calls `speaks?` with an id and seconds."
   @spec generate_samples(Range.t(), pos_integer(), (term(), float() -> boolean())) :: [integer()]
   def generate_samples(numbers, rate, speaks?) do
     for n <- numbers do

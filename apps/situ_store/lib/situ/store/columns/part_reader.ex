@@ -2,14 +2,15 @@ defmodule Situ.Store.Columns.PartReader do
   @moduledoc false
   # Reads a stream in parts: columns for plain numbers, lists of messages for everything else.
   alias Situ.{Message, Options}
-  alias Situ.Store.{Columns, Handle, Query, StreamInfo}
+  alias Situ.Recording
+  alias Situ.Store.{Columns, Query, StreamInfo}
 
   @options Keyword.take(Query.message_options(), [:from, :to, :index, :skip_damage])
 
   @spec column_options() :: Options.schema()
   def column_options, do: @options
 
-  @spec columns(Handle.t(), Query.name(), keyword()) :: Enumerable.t()
+  @spec columns(Recording.t(), Query.name(), keyword()) :: Enumerable.t()
   def columns(store, name, opts \\ []) do
     opts = Options.validate!(opts, @options)
     info = Situ.Error.unwrap!(Query.stream_info(store, name))
@@ -30,7 +31,7 @@ defmodule Situ.Store.Columns.PartReader do
 
   # Reads messages if the data is not numeric or is damaged. Reading messages then reports the damage or skips it.
   @spec read_part(
-          Handle.t(),
+          Recording.t(),
           StreamInfo.t(),
           non_neg_integer(),
           Situ.Time.t() | :unbounded,
@@ -39,7 +40,7 @@ defmodule Situ.Store.Columns.PartReader do
           {:ok, Columns.t() | [Message.t()], non_neg_integer()} | {:error, Situ.Error.t()}
   defp read_part(store, info, ordinal, to, opts) do
     found =
-      if function_exported?(store.module, :columns, 4),
+      if Recording.implements?(store, :columns, 4),
         do: store.module.columns(store.state, info, ordinal, to),
         else: :others
 

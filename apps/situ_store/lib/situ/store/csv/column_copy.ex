@@ -5,7 +5,7 @@ defmodule Situ.Store.Csv.ColumnCopy do
   alias Situ.Store.Csv.Scan
   alias Situ.Store.{StreamInfo, Writer}
 
-  @enforce_keys [:scan, :parts, :targets, :interval, :messages, :told]
+  @enforce_keys [:scan, :parts, :targets, :interval, :messages, :report_progress]
   defstruct @enforce_keys
 
   @type target :: {StreamInfo.t(), Writer.Stream.t()}
@@ -15,7 +15,7 @@ defmodule Situ.Store.Csv.ColumnCopy do
           targets: [target()],
           interval: {Situ.Time.t(), Situ.Time.t()},
           messages: (StreamInfo.t(), non_neg_integer() -> {:ok, [Situ.Message.t()]} | error()),
-          told: (pos_integer() -> any())
+          report_progress: (pos_integer() -> any())
         }
   @typep error :: {:error, String.t() | Situ.Error.t()}
 
@@ -81,7 +81,7 @@ defmodule Situ.Store.Csv.ColumnCopy do
   end
 
   defp report_count(_job, 0), do: :ok
-  defp report_count(job, n), do: job.told.(n)
+  defp report_count(job, n), do: job.report_progress.(n)
 
   # Counts the fields of a stream's column before a part.
   defp fields_before(%{parts: parts}, info, at) when at >= tuple_size(parts), do: info.count

@@ -7,7 +7,8 @@ defmodule Situ.Store.Summary.Fold do
   # only a count, and about 10 bytes for booleans. Writing costs 15 to 60 ns more per message, and
   # about 100 ns per key of a map. A property test compares the bins with this module.
   import Bitwise
-  alias Situ.Store.{Handle, Query, StreamInfo, Summary}
+  alias Situ.Recording
+  alias Situ.Store.{Query, StreamInfo, Summary}
   alias Situ.Store.Summary.Bins
 
   @most_keys 64
@@ -15,7 +16,7 @@ defmodule Situ.Store.Summary.Fold do
   @longest 64
   @other :"$other"
 
-  @spec fold_numbers(Handle.t(), StreamInfo.t(), integer(), integer(), non_neg_integer()) ::
+  @spec fold_numbers(Recording.t(), StreamInfo.t(), integer(), integer(), non_neg_integer()) ::
           {:ok, pos_integer(), [Summary.bin()]} | {:error, Situ.Error.t()}
   def fold_numbers(store, info, from, to, level) do
     bins =
@@ -31,7 +32,7 @@ defmodule Situ.Store.Summary.Fold do
   end
 
   @spec fold_tracks(
-          Handle.t(),
+          Recording.t(),
           StreamInfo.t(),
           integer(),
           integer(),

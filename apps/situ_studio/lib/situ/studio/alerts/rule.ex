@@ -1,19 +1,9 @@
 defmodule Situ.Studio.Alerts.Rule do
-  @moduledoc """
-  Parses alert rules. A rule is a name and an expression (`Situ.Expression`) over a pipeline's streams and
-  statistics. A stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is a statistic of a component, or
-  the worst value among its incoming connections. `Situ.Studio.PipelineView.Stats` lists the names.
-
-      iex> text = "slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9"
-      iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.parse_rules(text)
-      iex> {rule.name, Situ.Studio.Alerts.Rule.referenced_streams(rule)}
-      {"slow", ["Mic.Level"]}
-      iex> Situ.Studio.Alerts.Rule.true?(rule, %{"latency_mean(Screen)" => 250.0, "Mic.Level" => nil})
-      true
-      iex> {:error, error} = Situ.Studio.Alerts.Rule.parse_rules("slow: `queue(Screen)` >")
-      iex> error.what
-      "line 1 is not an alert rule"
-  """
+  @moduledoc false
+  # Parses alert rules. A rule is a name and an expression (`Situ.Expression`) over a pipeline's
+  # streams and statistics. A stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is
+  # a statistic of a component, or the worst value among its incoming connections.
+  # `Situ.Studio.PipelineView.Stats` lists the names.
   alias Situ.{Error, Expression}
   alias Situ.Studio.PipelineView.Stats
 
@@ -25,7 +15,20 @@ defmodule Situ.Studio.Alerts.Rule do
   @most 50
   @bytes 8_000
 
-  @doc "Parses rules of the form `NAME: EXPRESSION`, one per line; empty lines are ignored. Errors name the line."
+  @doc """
+  Parses rules of the form `NAME: EXPRESSION`, one per line; empty lines are ignored. Errors name
+  the line.
+
+      iex> text = "slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9"
+      iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.parse_rules(text)
+      iex> {rule.name, Situ.Studio.Alerts.Rule.referenced_streams(rule)}
+      {"slow", ["Mic.Level"]}
+      iex> Situ.Studio.Alerts.Rule.true?(rule, %{"latency_mean(Screen)" => 250.0, "Mic.Level" => nil})
+      true
+      iex> {:error, error} = Situ.Studio.Alerts.Rule.parse_rules("slow: `queue(Screen)` >")
+      iex> error.what
+      "line 1 is not an alert rule"
+  """
   @spec parse_rules(String.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def parse_rules(text) when byte_size(text) > @bytes, do: {:error, too_many()}
 

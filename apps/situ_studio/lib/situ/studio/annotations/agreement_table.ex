@@ -1,6 +1,15 @@
 defmodule Situ.Studio.Annotations.AgreementTable do
-  @moduledoc """
-  Measures the agreement of two layers of annotations, as the rows of a table (`Situ.Annotation.Agreement`).
+  @moduledoc false
+  # Measures the agreement of two layers of annotations, as the rows of a table
+  # (`Situ.Annotation.Agreement`).
+  alias Situ.Annotation.{Agreement, Layer}
+
+  # Bounds the work for long recordings: a longer recording is compared with longer frames.
+  @frames 1_000_000
+  @finest 10_000_000
+
+  @doc """
+  Returns the measures of agreement as pairs of label and formatted value.
 
       iex> alias Situ.Annotation.{Layer, Schema}
       iex> schema = Schema.finite("S", ["speaks"])
@@ -10,13 +19,6 @@ defmodule Situ.Studio.Annotations.AgreementTable do
       iex> {List.keyfind(rows, "same label", 0), List.keyfind(rows, "mean start difference", 0)}
       {{"same label", "66.7 %"}, {"mean start difference", "20.0 ms"}}
   """
-  alias Situ.Annotation.{Agreement, Layer}
-
-  # Bounds the work for long recordings: a longer recording is compared with longer frames.
-  @frames 1_000_000
-  @finest 10_000_000
-
-  @doc "Returns the measures of agreement as pairs of label and formatted value."
   @spec agreement_rows(Layer.t(), Layer.t()) ::
           {:ok, [{String.t(), String.t()}]} | {:error, Situ.Error.t()}
   def agreement_rows(a, b) do

@@ -1,15 +1,17 @@
 defmodule Situ.Studio.Annotations.Files do
-  @moduledoc """
-  Names the files of a recording's annotations. Each stream has its own store next to the recording, so that two
-  people who annotate the recording at the same time can save independently.
+  @moduledoc false
+  # Names the files of a recording's annotations. Each stream has its own store next to the
+  # recording, so that two people who annotate the recording at the same time can save
+  # independently.
+  alias Situ.Annotation.Recording
+  alias Situ.Store
+
+  @doc """
+  Returns the path of the store of one stream of annotations, without its version.
 
       iex> Situ.Studio.Annotations.Files.store_path("/study/lobby.0000", "Speech.Ada")
       "/study/lobby.0000-annotation-Speech%2EAda"
   """
-  alias Situ.Annotation.Recording
-  alias Situ.Store
-
-  @doc "Returns the path of the store of one stream of annotations, without its version."
   @spec store_path(Path.t(), String.t()) :: Path.t()
   def store_path(recording, stream), do: path_prefix(recording) <> escape_name(stream)
 

@@ -1,17 +1,12 @@
 defmodule Situ.Studio.Annotations.Proposals do
-  @moduledoc """
-  Finds intervals in a stream that may become annotations: times during which a boolean is true, a state or text stays
-  the same, or a number is at or above a threshold, and intervals that the messages themselves contain. Messages are
-  read page by page, so the stream may be of any length.
-
-      iex> alias Situ.Studio.Annotations.Proposals
-      iex> messages = for {t, v} <- [{0, 0.1}, {1, 0.7}, {2, 0.9}, {3, 0.2}, {4, 0.6}], do: {t, v}
-      iex> messages |> Proposals.find_runs(:signal, 0.5) |> Enum.map(&{&1.from, &1.to, Float.round(&1.confidence, 2)})
-      [{1, 3, 0.8}, {4, 4, 0.6}]
-  """
+  @moduledoc false
+  # Finds intervals in a stream that may become annotations: times during which a boolean is true,
+  # a state or text stays the same, or a number is at or above a threshold, and intervals that the
+  # messages themselves contain. Messages are read page by page, so the stream may be of any
+  # length.
   alias Situ.Error
   alias Situ.Studio.Draw.{Key, GapDetection, Segments}
-  alias Situ.Studio.Source
+  alias Situ.Studio.StreamReader
   alias Situ.Studio.Visualizers.Spans
 
   @page 50_000
@@ -34,11 +29,11 @@ defmodule Situ.Studio.Annotations.Proposals do
   def supports_shape?(shape), do: shape in [:spans | @runs]
 
   @doc "Returns all proposals of a stream. Errors: errors of the source, `:no_segments`, `:too_many`."
-  @spec collect_proposals(Source.t(), String.t(), atom(), number()) ::
+  @spec collect_proposals(Situ.Recording.t(), String.t(), atom(), number()) ::
           {:ok, [t()]} | {:error, Error.t()}
   def collect_proposals(source, stream, shape, threshold \\ 0.5) do
     with true <- supports_shape?(shape) or {:error, no_segments_error(stream)},
-         {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []) do
+         {:ok, %{from: from, to: to}} <- StreamReader.fetch_extent(source) do
       start = if shape == :spans, do: [], else: new_state(threshold)
 
       step =
@@ -69,7 +64,7 @@ defmodule Situ.Studio.Annotations.Proposals do
 
   # Messages are read page by page because a recording may not fit into memory.
   defp reduce_messages(source, stream, from, to, state, step) do
-    case Source.call(source, :messages, [stream, from, to, @page]) do
+    case StreamReader.read_messages(source, stream, from, to, @page) do
       {:ok, messages, :all} ->
         {:ok, step.(messages, state)}
 
@@ -116,7 +111,14 @@ defmodule Situ.Studio.Annotations.Proposals do
   defp new_state(threshold),
     do: %{open: %{}, done: [], recent: [], last: nil, threshold: threshold}
 
-  @doc "Returns the runs in ordered `{time, data}` rows; runs that are still open end at the last row."
+  @doc """
+  Returns the runs in ordered `{time, data}` rows; runs that are still open end at the last row.
+
+      iex> alias Situ.Studio.Annotations.Proposals
+      iex> messages = for {t, v} <- [{0, 0.1}, {1, 0.7}, {2, 0.9}, {3, 0.2}, {4, 0.6}], do: {t, v}
+      iex> messages |> Proposals.find_runs(:signal, 0.5) |> Enum.map(&{&1.from, &1.to, Float.round(&1.confidence, 2)})
+      [{1, 3, 0.8}, {4, 4, 0.6}]
+  """
   @spec find_runs([{Situ.Time.t(), term()}], atom(), number()) :: [t()]
   def find_runs(rows, shape, threshold) do
     messages = for {t, data} <- rows, do: %Situ.Message{data: data, originating_time: t}

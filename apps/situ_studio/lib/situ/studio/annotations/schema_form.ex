@@ -1,18 +1,8 @@
 defmodule Situ.Studio.Annotations.SchemaForm do
-  @moduledoc """
-  Holds the schema of a stream of annotations while users edit it in the page: attributes, and their values with keys
-  and colors. Attributes and values remember their original names, so that annotations follow renames.
-
-      iex> alias Situ.Studio.Annotations.SchemaForm
-      iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [
-      ...>   %{"name" => "Speech", "kind" => "finite", "values" => [%{"value" => "speaks", "key" => "1"}]}]})
-      iex> draft = SchemaForm.from_schema(schema)
-      iex> draft = SchemaForm.update_from_params(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
-      ...>   "values" => %{"0" => %{"value" => "talks", "key" => "t", "fill" => "#ff0000"}}}})
-      iex> {:ok, schema, renamed} = SchemaForm.build_schema("S", draft)
-      iex> {hd(schema.attributes).values, renamed}
-      {[%{fill: "#ff0000", key: "t", text: nil, value: "talks"}], [{"Speech", "Voice", %{"speaks" => "talks"}}]}
-  """
+  @moduledoc false
+  # Holds the schema of a stream of annotations while users edit it in the page: attributes, and
+  # their values with keys and colors. Attributes and values remember their original names, so
+  # that annotations follow renames.
   alias Situ.Annotation.Schema
   alias Situ.Error
 
@@ -29,7 +19,19 @@ defmodule Situ.Studio.Annotations.SchemaForm do
   @typedoc "The old and new name of each attribute, with a map from old to new names of its values."
   @type renamed :: [{String.t(), String.t(), %{String.t() => String.t()}}]
 
-  @doc "Converts a schema to a draft that can be edited."
+  @doc """
+  Converts a schema to a draft that can be edited.
+
+      iex> alias Situ.Studio.Annotations.SchemaForm
+      iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [
+      ...>   %{"name" => "Speech", "kind" => "finite", "values" => [%{"value" => "speaks", "key" => "1"}]}]})
+      iex> draft = SchemaForm.from_schema(schema)
+      iex> draft = SchemaForm.update_from_params(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
+      ...>   "values" => %{"0" => %{"value" => "talks", "key" => "t", "fill" => "#ff0000"}}}})
+      iex> {:ok, schema, renamed} = SchemaForm.build_schema("S", draft)
+      iex> {hd(schema.attributes).values, renamed}
+      {[%{fill: "#ff0000", key: "t", text: nil, value: "talks"}], [{"Speech", "Voice", %{"speaks" => "talks"}}]}
+  """
   @spec from_schema(Schema.t()) :: [attribute()]
   def from_schema(%Schema{attributes: attributes}) do
     for a <- attributes do

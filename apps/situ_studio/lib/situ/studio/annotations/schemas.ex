@@ -1,18 +1,8 @@
 defmodule Situ.Studio.Annotations.Schemas do
-  @moduledoc """
-  Saves annotation schemas for reuse in other recordings. Each schema is a JSON file
-  (`priv/schema/annotation.schema.json`) in a folder next to the layouts; users may also add files by hand.
-
-      iex> layouts = Path.join(System.tmp_dir!(), "situ-doc-schemas/layouts")
-      iex> {:ok, schema} = Situ.Studio.Annotations.parse_schema("Speech", "speaks 1")
-      iex> :ok = Situ.Studio.Annotations.Schemas.save_schema(layouts, schema)
-      iex> Situ.Studio.Annotations.Schemas.list_names(layouts)
-      ["Speech"]
-      iex> Situ.Studio.Annotations.Schemas.load(layouts, "Speech") == {:ok, schema}
-      true
-      iex> File.rm_rf!(Path.dirname(layouts)) != []
-      true
-  """
+  @moduledoc false
+  # Saves annotation schemas for reuse in other recordings. Each schema is a JSON file
+  # (`priv/schema/annotation.schema.json`) in a folder next to the layouts; users may also add
+  # files by hand.
   alias Situ.Annotation.Schema
   alias Situ.Error
 
@@ -37,7 +27,19 @@ defmodule Situ.Studio.Annotations.Schemas do
     end
   end
 
-  @doc "Saves a schema, and replaces a saved schema with the same name."
+  @doc """
+  Saves a schema, and replaces a saved schema with the same name.
+
+      iex> layouts = Path.join(System.tmp_dir!(), "situ-doc-schemas/layouts")
+      iex> {:ok, schema} = Situ.Studio.Annotations.parse_schema("Speech", "speaks 1")
+      iex> :ok = Situ.Studio.Annotations.Schemas.save_schema(layouts, schema)
+      iex> Situ.Studio.Annotations.Schemas.list_names(layouts)
+      ["Speech"]
+      iex> Situ.Studio.Annotations.Schemas.load(layouts, "Speech") == {:ok, schema}
+      true
+      iex> File.rm_rf!(Path.dirname(layouts)) != []
+      true
+  """
   @spec save_schema(Path.t(), Schema.t()) :: :ok | {:error, Error.t()}
   def save_schema(layouts, %Schema{name: name} = schema) do
     path =

@@ -1,17 +1,6 @@
 defmodule Situ.Studio.BatchRuns.Form do
-  @moduledoc """
-  Builds a form from a task's option schema, and parses the options that a page submits.
-
-      iex> stream = [type: :string, default: "Audio", doc: "The sound."]
-      iex> schema = [stream: stream, exact: [type: :boolean, default: false]]
-      iex> for f <- Situ.Studio.BatchRuns.Form.build_fields(schema, %{}), do: {f.name, f.kind, f.value}
-      [{"stream", :text, "Audio"}, {"exact", :check, false}]
-      iex> Situ.Studio.BatchRuns.Form.parse_config(schema, %{"stream" => "Mic", "exact" => "true"})
-      {:ok, %{"exact" => true, "stream" => "Mic"}}
-      iex> {:error, error} = Situ.Studio.BatchRuns.Form.parse_config([rate: [type: :pos_integer]], %{"rate" => "fast"})
-      iex> error.what
-      "rate must be a whole number, not \\"fast\\""
-  """
+  @moduledoc false
+  # Builds a form from a task's option schema, and parses the options that a page submits.
   alias Situ.{Error, Options}
 
   @type field :: %{
@@ -23,7 +12,20 @@ defmodule Situ.Studio.BatchRuns.Form do
           required: boolean()
         }
 
-  @doc "Builds the form fields with the values of a configuration or their defaults. Hidden options have no field."
+  @doc """
+  Builds the form fields with the values of a configuration or their defaults. Hidden options have
+  no field.
+
+      iex> stream = [type: :string, default: "Audio", doc: "The sound."]
+      iex> schema = [stream: stream, exact: [type: :boolean, default: false]]
+      iex> for f <- Situ.Studio.BatchRuns.Form.build_fields(schema, %{}), do: {f.name, f.kind, f.value}
+      [{"stream", :text, "Audio"}, {"exact", :check, false}]
+      iex> Situ.Studio.BatchRuns.Form.parse_config(schema, %{"stream" => "Mic", "exact" => "true"})
+      {:ok, %{"exact" => true, "stream" => "Mic"}}
+      iex> {:error, error} = Situ.Studio.BatchRuns.Form.parse_config([rate: [type: :pos_integer]], %{"rate" => "fast"})
+      iex> error.what
+      "rate must be a whole number, not \\"fast\\""
+  """
   @spec build_fields(Options.schema(), map()) :: [field()]
   def build_fields(schema, config) do
     for {key, spec} <- schema, spec[:doc] != false do

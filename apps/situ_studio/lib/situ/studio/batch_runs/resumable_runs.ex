@@ -1,7 +1,18 @@
 defmodule Situ.Studio.BatchRuns.ResumableRuns do
-  @moduledoc """
-  Keeps track of batch runs that were interrupted because their studio stopped. A file next to the dataset records how
-  each run was started, until the run has finished. A page offers to resume interrupted runs.
+  @moduledoc false
+  # Keeps track of batch runs that were interrupted because their studio stopped. A file next to
+  # the dataset records how each run was started, until the run has finished. A page offers to
+  # resume interrupted runs.
+  @type t :: %{
+          task: String.t(),
+          output: String.t() | nil,
+          sessions: [String.t()],
+          config: map(),
+          parallel: pos_integer()
+        }
+
+  @doc """
+  Records the start of a run. If the file cannot be written, the run continues without a record.
 
       iex> file = Path.join(System.tmp_dir!(), "situ-doc-left.json")
       iex> run = %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}
@@ -17,15 +28,6 @@ defmodule Situ.Studio.BatchRuns.ResumableRuns do
       iex> Situ.Studio.BatchRuns.ResumableRuns.list_interrupted(file)
       []
   """
-  @type t :: %{
-          task: String.t(),
-          output: String.t() | nil,
-          sessions: [String.t()],
-          config: map(),
-          parallel: pos_integer()
-        }
-
-  @doc "Records the start of a run. If the file cannot be written, the run continues without a record."
   @spec record_start(Path.t(), map()) :: :ok
   def record_start(file, run) do
     text = run |> Map.put(:pid, System.pid()) |> Situ.JSON.encode()

@@ -1,14 +1,6 @@
 defmodule Situ.Studio.BatchRuns.Run do
-  @moduledoc """
-  Holds the progress and the result of one run of a batch task over sessions of a dataset.
-
-      iex> run = %Situ.Studio.BatchRuns.Run{id: 1, file: "study.json", task: "statistics", began: 0}
-      iex> run = Situ.Studio.BatchRuns.Run.update_progress(run, %{done: 0.25})
-      iex> {Situ.Studio.BatchRuns.Run.elapsed_ms(run, 10_000), Situ.Studio.BatchRuns.Run.remaining_ms(run, 10_000)}
-      {10000, 30000}
-      iex> Situ.Studio.BatchRuns.Run.remaining_ms(%{run | progress: %{done: 0.001}}, 10_000)
-      nil
-  """
+  @moduledoc false
+  # Holds the progress and the result of one run of a batch task over sessions of a dataset.
   alias Situ.Dataset.Derivation.Report
 
   @enforce_keys [:id, :file, :task, :began]
@@ -20,7 +12,16 @@ defmodule Situ.Studio.BatchRuns.Run do
   # Below this share, an estimate of the remaining time is meaningless.
   @guess 0.02
 
-  @doc "Updates the progress, as reported by `Situ.Dataset.derive/3`."
+  @doc """
+  Updates the progress, as reported by `Situ.Dataset.derive/3`.
+
+      iex> run = %Situ.Studio.BatchRuns.Run{id: 1, file: "study.json", task: "statistics", began: 0}
+      iex> run = Situ.Studio.BatchRuns.Run.update_progress(run, %{done: 0.25})
+      iex> {Situ.Studio.BatchRuns.Run.elapsed_ms(run, 10_000), Situ.Studio.BatchRuns.Run.remaining_ms(run, 10_000)}
+      {10000, 30000}
+      iex> Situ.Studio.BatchRuns.Run.remaining_ms(%{run | progress: %{done: 0.001}}, 10_000)
+      nil
+  """
   @spec update_progress(t(), map()) :: t()
   def update_progress(%__MODULE__{} = run, progress), do: %{run | progress: progress}
 

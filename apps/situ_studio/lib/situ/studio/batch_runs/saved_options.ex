@@ -1,16 +1,6 @@
 defmodule Situ.Studio.BatchRuns.SavedOptions do
-  @moduledoc """
-  Saves the options of batch tasks by name, as JSON files in one folder per task.
-
-      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-configurations")
-      iex> Situ.Studio.BatchRuns.SavedOptions.save(folder, "loudness", "Room 1", %{"stream" => "Mic"})
-      :ok
-      iex> Situ.Studio.BatchRuns.SavedOptions.list_all(folder, "loudness")
-      [{"Room 1", %{"stream" => "Mic"}}]
-      iex> Situ.Studio.BatchRuns.SavedOptions.delete(folder, "loudness", "Room 1")
-      iex> Situ.Studio.BatchRuns.SavedOptions.list_all(folder, "loudness")
-      []
-  """
+  @moduledoc false
+  # Saves the options of batch tasks by name, as JSON files in one folder per task.
   alias Situ.Error
 
   @doc "Lists the saved configurations of a task, sorted by name. Unreadable files are skipped."
@@ -23,7 +13,18 @@ defmodule Situ.Studio.BatchRuns.SavedOptions do
         do: {path |> Path.basename(".json") |> URI.decode(), config}
   end
 
-  @doc "Saves a configuration and replaces any other with the same name."
+  @doc """
+  Saves a configuration and replaces any other with the same name.
+
+      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-configurations")
+      iex> Situ.Studio.BatchRuns.SavedOptions.save(folder, "loudness", "Room 1", %{"stream" => "Mic"})
+      :ok
+      iex> Situ.Studio.BatchRuns.SavedOptions.list_all(folder, "loudness")
+      [{"Room 1", %{"stream" => "Mic"}}]
+      iex> Situ.Studio.BatchRuns.SavedOptions.delete(folder, "loudness", "Room 1")
+      iex> Situ.Studio.BatchRuns.SavedOptions.list_all(folder, "loudness")
+      []
+  """
   @spec save(Path.t(), String.t(), String.t(), map()) :: :ok | {:error, Error.t()}
   def save(folder, task, name, config) do
     with path = configuration_path(folder, task, name),

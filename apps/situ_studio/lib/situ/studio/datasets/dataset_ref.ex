@@ -1,7 +1,10 @@
 defmodule Situ.Studio.Datasets.DatasetRef do
-  @moduledoc """
-  Identifies a session or a recording of a dataset in an address. The id consists of the dataset's own id, the session
-  and the partition, each escaped so that it contains no slash.
+  @moduledoc false
+  # Identifies a session or a recording of a dataset in an address. The id consists of the
+  # dataset's own id, the session and the partition, each escaped so that it contains no slash.
+
+  @doc """
+  Builds the id of a part of the dataset `dataset`.
 
       iex> id = Situ.Studio.Datasets.DatasetRef.build_id("study.json", ["day 1/am", "Room"])
       iex> id
@@ -9,8 +12,6 @@ defmodule Situ.Studio.Datasets.DatasetRef do
       iex> Situ.Studio.Datasets.DatasetRef.split_id(id)
       [{"study.json", ["day 1/am", "Room"]}, {"study.json/day 1%2Fam", ["Room"]}]
   """
-
-  @doc "Builds the id of a part of the dataset `dataset`."
   @spec build_id(String.t(), [String.t()]) :: String.t()
   def build_id(dataset, parts),
     do: Enum.join([dataset | Enum.map(parts, &escape/1)], "/")

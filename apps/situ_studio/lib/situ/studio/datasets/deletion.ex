@@ -1,11 +1,10 @@
 defmodule Situ.Studio.Datasets.Deletion do
-  @moduledoc """
-  Deletes recordings of a dataset from disk. Deletes none of them if one is still being recorded or is used elsewhere in
-  the dataset.
-
-  A dataset file may come from anyone and name any path. Therefore only stores (intact or damaged) and files that a
-  reader can open are deleted.
-  """
+  @moduledoc false
+  # Deletes recordings of a dataset from disk. Deletes none of them if one is still being recorded
+  # or is used elsewhere in the dataset.
+  #
+  # A dataset file may come from anyone and name any path. Therefore only stores (intact or
+  # damaged) and files that a reader can open are deleted.
   alias Situ.Dataset
   alias Situ.Dataset.Partition
   alias Situ.{Error, Store}

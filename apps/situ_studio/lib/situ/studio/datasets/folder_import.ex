@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Datasets.FolderImport do
-  @moduledoc """
-  Adds folders of recordings to a dataset: as one session per folder, as a single session, or as recordings of an
-  existing session. Recordings and sessions that the dataset already contains are skipped and reported.
-  """
+  @moduledoc false
+  # Adds folders of recordings to a dataset: as one session per folder, as a single session, or as
+  # recordings of an existing session. Recordings and sessions that the dataset already contains
+  # are skipped and reported.
   alias Situ.Dataset
   alias Situ.Dataset.{NameRules, Partition, Session}
   alias Situ.Studio.Catalog.Item

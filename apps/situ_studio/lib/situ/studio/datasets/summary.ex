@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Datasets.Summary do
-  @moduledoc """
-  Summarizes a recording or a dataset for lists: times, streams, size, sessions, or the error that prevents opening it.
-  """
+  @moduledoc false
+  # Summarizes a recording or a dataset for lists: times, streams, size, sessions, or the error
+  # that prevents opening it.
   alias Situ.{Dataset, Error, Store}
-  alias Situ.Studio.{StreamTotals, Source, StreamInfo}
+  alias Situ.Studio.{StreamTotals, StreamInfo, StreamOverview, StreamReader, Recordings}
 
   defstruct streams: [],
             from: nil,
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Datasets.Summary do
   @doc "Opens the recording at a path and summarizes it."
   @spec of_recording(Path.t()) :: t()
   def of_recording(path) do
-    case Source.Store.open(path) do
+    case Recordings.Store.open(path) do
       {:ok, source} -> use_file_size(of_source(source), path)
       {:error, error} -> %__MODULE__{error: error}
     end
@@ -59,10 +59,10 @@ defmodule Situ.Studio.Datasets.Summary do
   end
 
   @doc "Summarizes a source that is already open, such as streams in memory."
-  @spec of_source(Source.t()) :: t()
+  @spec of_source(Situ.Recording.t()) :: t()
   def of_source(source) do
-    with {:ok, streams} <- Source.call(source, :streams, []),
-         {:ok, extent} <- Source.call(source, :extent, []) do
+    with {:ok, streams} <- StreamOverview.list_streams(source),
+         {:ok, extent} <- StreamReader.fetch_extent(source) do
       timed? = Enum.any?(streams, & &1.first)
 
       %__MODULE__{
@@ -71,7 +71,7 @@ defmodule Situ.Studio.Datasets.Summary do
         to: if(timed?, do: extent.to),
         size: streams |> Enum.map(& &1.bytes) |> Enum.sum(),
         live: extent.live,
-        damaged: Source.list_damage(source) != []
+        damaged: StreamReader.list_damage(source) != []
       }
     else
       {:error, error} -> %__MODULE__{error: error}

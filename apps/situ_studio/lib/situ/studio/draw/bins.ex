@@ -1,11 +1,7 @@
 defmodule Situ.Studio.Draw.Bins do
-  @moduledoc """
-  Folds points into bins that are aligned to multiples of their width, so that panning yields the same bins again.
-
-      iex> points = for t <- 0..3, do: Situ.Studio.Draw.Bins.point(t, t * 1.0)
-      iex> Situ.Studio.Draw.Bins.fold_points(points, 2, 2)
-      {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
-  """
+  @moduledoc false
+  # Folds points into bins that are aligned to multiples of their width, so that panning yields
+  # the same bins again.
   # Bins are aligned, a power of two wide and at most one pixel. Bins with the edges of pixels
   # would have to be fetched again on each pan. The page combines them to opaque columns from
   # minimum to maximum (`assets/js/visualizers/columns.js`): translucent polygons hid single
@@ -17,7 +13,13 @@ defmodule Situ.Studio.Draw.Bins do
   @type point :: Situ.Codec.point()
   @type gap :: {Situ.Time.t(), nil, nil, nil, pos_integer()}
 
-  @doc "Builds the point of one value at one time."
+  @doc """
+  Builds the point of one value at one time.
+
+      iex> points = for t <- 0..3, do: Situ.Studio.Draw.Bins.point(t, t * 1.0)
+      iex> Situ.Studio.Draw.Bins.fold_points(points, 2, 2)
+      {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
+  """
   @spec point(Situ.Time.t(), number()) :: point()
   def point(time, value), do: {time, value, value, value, 1}
 
@@ -40,6 +42,16 @@ defmodule Situ.Studio.Draw.Bins do
       :error -> []
     end
   end
+
+  @doc "Returns the points of a line for one message. The data of a codec, such as audio, may have many."
+  @spec message_points(Situ.Message.t()) :: [point() | gap()]
+  def message_points(%{data: %module{} = data, originating_time: time}) do
+    if function_exported?(module, :points, 2),
+      do: module.points(data, time),
+      else: value_points(time, data)
+  end
+
+  def message_points(%{data: data, originating_time: time}), do: value_points(time, data)
 
   @doc """
   Returns a value as a number to draw: booleans are 0 and 1. Other terms, and integers too large for a float, are

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Draw.BrowserImage do
-  @moduledoc """
-  Converts a message's image to bytes that a browser can draw. Encoded images are passed through unchanged. Raw images
-  are sent as JPEG if this machine can encode it, and as plain pixels otherwise. Depth images are sent as 16-bit values,
-  so that the page can colour them and show the value under the mouse.
-  """
+  @moduledoc false
+  # Converts a message's image to bytes that a browser can draw. Encoded images are passed through
+  # unchanged. Raw images are sent as JPEG if this machine can encode it, and as plain pixels
+  # otherwise. Depth images are sent as 16-bit values, so that the page can colour them and show
+  # the value under the mouse.
   alias Situ.{DepthImage, EncodedImage, Image}
 
   @quality 85

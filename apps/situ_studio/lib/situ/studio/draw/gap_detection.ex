@@ -1,14 +1,8 @@
 defmodule Situ.Studio.Draw.GapDetection do
-  @moduledoc """
-  Determines how often messages arrive and which pauses are gaps. Messages are missing in a gap, so nothing may be drawn
-  across it. The page applies the same rule to lines (`assets/js/data/gap_detection.js`).
-
-      iex> every_ten = for t <- Enum.concat(0..50//10, 500..600//10), do: {t, 1}
-      iex> Situ.Studio.Draw.GapDetection.find_gaps(every_ten)
-      [{60, 500}]
-      iex> Situ.Studio.Draw.GapDetection.find_gaps([{0, 1}, {10, 1}, {500, 1}, {503, 1}, {600, 1}])
-      []
-  """
+  @moduledoc false
+  # Determines how often messages arrive and which pauses are gaps. Messages are missing in a gap,
+  # so nothing may be drawn across it. The page applies the same rule to lines
+  # (`assets/js/data/gap_detection.js`).
   @looked_at 256
   # In a regular stream, a pause of this many periods is a gap.
   @missed 8
@@ -18,7 +12,15 @@ defmodule Situ.Studio.Draw.GapDetection do
   @typedoc "The time of the first of some messages, and the number of messages until the next row."
   @type row :: {Situ.Time.t(), pos_integer()}
 
-  @doc "Returns the gaps as time ranges, in order. A message holds until its successor is due."
+  @doc """
+  Returns the gaps as time ranges, in order. A message holds until its successor is due.
+
+      iex> every_ten = for t <- Enum.concat(0..50//10, 500..600//10), do: {t, 1}
+      iex> Situ.Studio.Draw.GapDetection.find_gaps(every_ten)
+      [{60, 500}]
+      iex> Situ.Studio.Draw.GapDetection.find_gaps([{0, 1}, {10, 1}, {500, 1}, {503, 1}, {600, 1}])
+      []
+  """
   @spec find_gaps([row()]) :: [{Situ.Time.t(), Situ.Time.t()}]
   def find_gaps(rows) do
     case usual_period(rows) do

@@ -1,10 +1,6 @@
 defmodule Situ.Studio.Draw.Key do
-  @moduledoc """
-  Names map keys on the page, to distinguish the lanes or lines of one stream.
-
-      iex> Situ.Studio.Draw.Key.sort_keys([:b, 10, 9, "a"]) |> Enum.map(&Situ.Studio.Draw.Key.key_name/1)
-      ["9", "10", "a", "b"]
-  """
+  @moduledoc false
+  # Names map keys on the page, to distinguish the lanes or lines of one stream.
   alias Situ.Studio.NaturalOrder
 
   @max_text 60
@@ -22,7 +18,12 @@ defmodule Situ.Studio.Draw.Key do
   defp inspect_key(key),
     do: key |> inspect(limit: 8, printable_limit: @max_text) |> String.slice(0, @max_text)
 
-  @doc "Sorts numbers by size and the other keys after them by name. Returns at most 32 keys."
+  @doc """
+  Sorts numbers by size and the other keys after them by name. Returns at most 32 keys.
+
+      iex> Situ.Studio.Draw.Key.sort_keys([:b, 10, 9, "a"]) |> Enum.map(&Situ.Studio.Draw.Key.key_name/1)
+      ["9", "10", "a", "b"]
+  """
   @spec sort_keys([term()]) :: [term()]
   def sort_keys(keys) do
     keys

@@ -1,21 +1,12 @@
 defmodule Situ.Studio.Draw.Segments do
-  @moduledoc """
-  Builds lanes of states and labels. The value of a message holds until the next message, and adjacent equal values form
-  one segment. A map has a lane for each of its keys; a lane ends at the first message without its key.
-
-      iex> said = [{0, true}, {1, true}, {2, false}]
-      iex> messages = for {t, v} <- said, do: {t, %Situ.Message{data: v, originating_time: t}}
-      iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 9)
-      [{0, 2, "true", "true", ""}, {2, nil, "false", "false", ""}]
-
-  Only known values are drawn. Between two messages of a sample there are others that were not read. Such a stretch has
-  the class `"many"` and shows their number.
-
-      iex> messages = for {n, v} <- [{0, true}, {100, true}], do: {n, %Situ.Message{data: v, originating_time: n}}
-      iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 200)
-      [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
-  """
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  @moduledoc false
+  # Builds lanes of states and labels. The value of a message holds until the next message, and
+  # adjacent equal values form one segment. A map has a lane for each of its keys; a lane ends at
+  # the first message without its key.
+  #
+  # Only known values are drawn. Between two messages of a sample there are others that were not
+  # read. Such a stretch has the class `"many"` and shows their number.
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer}
   alias Situ.Studio.Draw.{Key, WindowMessages, GapDetection}
 
   @typedoc "The tuple `{from, to, label, class, lane}`: `to` is `nil` if open, and the only lane is `\"\"`."
@@ -30,7 +21,7 @@ defmodule Situ.Studio.Draw.Segments do
   expected but are missing.
   """
   @spec window(
-          Source.t(),
+          Situ.Recording.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),
@@ -91,6 +82,15 @@ defmodule Situ.Studio.Draw.Segments do
   Builds the segments of messages in order, lane by lane. A message after `to` only contributes its time, at which the
   last segment ends; without one the last segment is open. Strings are states, which hold, unless `texts?` is set:
   then they are utterances, and the same text twice is two segments.
+
+      iex> said = [{0, true}, {1, true}, {2, false}]
+      iex> messages = for {t, v} <- said, do: {t, %Situ.Message{data: v, originating_time: t}}
+      iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 9)
+      [{0, 2, "true", "true", ""}, {2, nil, "false", "false", ""}]
+
+      iex> messages = for {n, v} <- [{0, true}, {100, true}], do: {n, %Situ.Message{data: v, originating_time: n}}
+      iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 200)
+      [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
   """
   @spec from_messages(
           [WindowMessages.numbered()],

@@ -1,8 +1,17 @@
 defmodule Situ.Studio.Draw.SummaryLanes do
-  @moduledoc """
-  Builds lanes from a source's summary (`Situ.Store.Summary`). If there are few changes, their exact times are known;
-  if there are many, the states in each bin are known. A bin with more than one state has the class `"many"` and shows
-  which messages it contains.
+  @moduledoc false
+  # Builds lanes from a source's summary (`Situ.Store.Summary`). If there are few changes, their
+  # exact times are known; if there are many, the states in each bin are known. A bin with more
+  # than one state has the class `"many"` and shows which messages it contains.
+  #
+  # The lane of a key ends in the first bin whose messages do not have it.
+  alias Situ.Studio.Draw.{Key, Segments}
+
+  @told 3
+
+  @doc """
+  Returns the segments of all state tracks, lane by lane. The last of each ends at `later`, or is
+  open (`nil`).
 
       iex> bins = [{0, true, [{true, 4}]}, {8, false, [{true, 1}, {false, 3}]}, {16, false, [{false, 4}]}]
       iex> summary = %{width: 8, counts: [{0, 4}, {8, 4}, {16, 4}], tracks: [{nil, {:states, bins}}]}
@@ -12,17 +21,10 @@ defmodule Situ.Studio.Draw.SummaryLanes do
       iex> Situ.Studio.Draw.SummaryLanes.from_summary(summary, 20)
       [{0, 9, "open", "state", "door"}, {9, 20, "shut", "state", "door"}]
 
-  The lane of a key ends in the first bin whose messages do not have it.
-
       iex> summary = %{width: 8, counts: [{0, 4}, {8, 4}], tracks: [door: {:states, [{0, :open, [open: 4]}]}]}
       iex> Situ.Studio.Draw.SummaryLanes.from_summary(summary, 20)
       [{0, 8, "open", "state", "door"}]
   """
-  alias Situ.Studio.Draw.{Key, Segments}
-
-  @told 3
-
-  @doc "Returns the segments of all state tracks, lane by lane. The last of each ends at `later`, or is open (`nil`)."
   @spec from_summary(Situ.Store.Summary.t() | map(), Situ.Time.t() | nil) :: [Segments.t()]
   def from_summary(%{tracks: tracks, width: width, counts: counts}, later) do
     by_key =

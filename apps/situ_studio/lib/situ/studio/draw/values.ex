@@ -1,20 +1,16 @@
 defmodule Situ.Studio.Draw.Values do
-  @moduledoc """
-  Reads the exact values of a stream at a time, which a page shows at the cursor.
-
-  A value comes from the latest message at or before the time and never from a summary, so it is the same at every
-  zoom. Values go to the page as text. A float has the fewest digits that read back as the same number, and an integer
-  that a browser cannot hold exactly keeps all of its digits.
-
-      iex> alias Situ.Studio.Draw.Values
-      iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.format_exact/1)
-      ["0.1", "123456789.123", "9007199254740993", "true", "nan", nil]
-  """
+  @moduledoc false
+  # Reads the exact values of a stream at a time, which a page shows at the cursor.
+  #
+  # A value comes from the latest message at or before the time and never from a summary, so it is
+  # the same at every zoom. Values go to the page as text. A float has the fewest digits that read
+  # back as the same number, and an integer that a browser cannot hold exactly keeps all of its
+  # digits.
   # The page once took the value at the cursor from the bin under it, and one cursor showed
   # 10.745, 9.0532 or 8.2688, depending on the zoom. The server therefore sends the value for each
   # cursor, on the path that images use. If the page searched raw messages itself, it would need
   # the rules of sources (gaps, late messages, audio) a second time.
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer, StreamReader}
 
   # The page gets at most this many values of one message.
   @max_values 256
@@ -27,14 +23,14 @@ defmodule Situ.Studio.Draw.Values do
   returns the named values.
   """
   @spec fetch_at(
-          Source.t(),
+          Situ.Recording.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),
           (term(), Situ.Message.t() -> [named()])
         ) :: Visualizer.value()
   def fetch_at(source, channel, %{stream: stream, path: path}, time, split) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %{data: %Gap{}}} ->
         :none
 
@@ -65,7 +61,13 @@ defmodule Situ.Studio.Draw.Values do
     Frame.json(channel, time, %{"time" => Integer.to_string(time), "values" => texts})
   end
 
-  @doc "Formats a value exactly. Returns `nil` for terms that are not drawn."
+  @doc """
+  Formats a value exactly. Returns `nil` for terms that are not drawn.
+
+      iex> alias Situ.Studio.Draw.Values
+      iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.format_exact/1)
+      ["0.1", "123456789.123", "9007199254740993", "true", "nan", nil]
+  """
   @spec format_exact(term()) :: String.t() | nil
   def format_exact(nil), do: nil
   def format_exact(%Gap{}), do: nil

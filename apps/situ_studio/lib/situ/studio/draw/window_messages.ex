@@ -1,10 +1,9 @@
 defmodule Situ.Studio.Draw.WindowMessages do
-  @moduledoc """
-  Reads the messages that a visualizer draws over time: the messages of a window, the one in force at its start, and
-  the next one, which ends the last state. If a window has too many messages to read, it is sampled evenly by message
-  number.
-  """
-  alias Situ.Studio.{Source, Visualizer}
+  @moduledoc false
+  # Reads the messages that a visualizer draws over time: the messages of a window, the one in
+  # force at its start, and the next one, which ends the last state. If a window has too many
+  # messages to read, it is sampled evenly by message number.
+  alias Situ.Studio.{Visualizer, StreamReader}
 
   # A rate cannot be determined from so few messages, because there may be gaps between them. Then this many are read on
   # both sides.
@@ -18,7 +17,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   @type numbered :: {integer(), Situ.Message.t()}
 
   @doc "Fetches the messages within a window and one or more on both sides; `false` if they are a sample."
-  @spec fetch_around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_around(Situ.Recording.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def fetch_around(source, spec, from, to) do
     with {:ok, numbered, all?} <- fetch_numbered(source, spec, from, to),
@@ -26,7 +25,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   end
 
   @doc "Fetches the same messages with their positions."
-  @spec fetch_numbered(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_numbered(Situ.Recording.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [numbered()], all? :: boolean()} | {:error, Situ.Error.t()}
   def fetch_numbered(source, %{stream: stream}, from, to) do
     with {:ok, rows, all?} <- read_window(source, stream, from, to) do
@@ -39,7 +38,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   end
 
   @doc "Fetches only the messages within the window."
-  @spec fetch_within(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_within(Situ.Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def fetch_within(source, stream, from, to) do
     with {:ok, rows, all?} <- read_window(source, stream, from, to),
@@ -47,12 +46,12 @@ defmodule Situ.Studio.Draw.WindowMessages do
   end
 
   defp read_window(source, stream, from, to) do
-    case Source.call(source, :messages, [stream, from, to, @scan]) do
+    case StreamReader.read_messages(source, stream, from, to, @scan) do
       {:ok, messages, :all} ->
         {:ok, Enum.with_index(messages, &{&2, &1}), true}
 
       {:ok, _, :more} ->
-        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @sample),
+        with {:ok, rows} <- StreamReader.sample_messages(source, stream, from, to, @sample),
              do: {:ok, rows, false}
 
       error ->
@@ -68,7 +67,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   window has too few messages to determine their rate, more are fetched, so that gaps can be detected.
   """
   @spec surrounding_messages(
-          Source.t(),
+          Situ.Recording.t(),
           String.t(),
           {Situ.Time.t(), Situ.Time.t()},
           non_neg_integer()
@@ -76,7 +75,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
   def surrounding_messages(source, stream, {from, to}, n) do
     most = if n < @few, do: @beside, else: 1
-    before = Source.list_neighbours(source, stream, :before, from, most)
-    {Enum.reverse(before), Source.list_neighbours(source, stream, :after, to, most)}
+    before = StreamReader.list_neighbours(source, stream, :before, from, most)
+    {Enum.reverse(before), StreamReader.list_neighbours(source, stream, :after, to, most)}
   end
 end

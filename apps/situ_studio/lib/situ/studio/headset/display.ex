@@ -1,4 +1,17 @@
 defmodule Situ.Studio.Headset.Display do
+  @moduledoc """
+  Draws the data of a stream in a headset (`Situ.Studio.Headset`): poses, rays, boxes, positioned texts, rectangles,
+  images, meshes, point clouds, skeletons and everything else that a 3D panel of the studio draws.
+
+      objects
+      |> Situ.map(fn object -> {object.name, object.box} end)
+      |> Situ.Studio.Headset.Display.show(as: "objects", color: "#ffcc00")
+
+  Each message replaces the drawing of the previous one; a message with nothing to draw clears it. Positions are in the
+  headset's frame (x forward, y left, z up, relative to the start of its session). A page that connects later receives
+  the last message. While a drawing is in flight, only the newest later drawing is kept.
+  """
+
   @schema [
     page: [type: :string, default: "headset", doc: "The headset's name."],
     as: [
@@ -21,22 +34,6 @@ defmodule Situ.Studio.Headset.Display do
     ]
   ]
 
-  @moduledoc """
-  Draws the data of a stream in a headset (`Situ.Studio.Headset`): poses, rays, boxes, positioned texts, rectangles,
-  images, meshes, point clouds, skeletons and everything else that a 3D panel draws (`Situ.Studio.Scene.TermItems`).
-
-      objects
-      |> Situ.map(fn {name, box} -> {name, box} end)
-      |> Situ.Studio.Headset.Display.show(as: "objects", color: "#ffcc00")
-
-  Each message replaces the drawing of the previous one; a message with nothing to draw clears it. Positions are in the
-  headset's frame (x forward, y left, z up, relative to the start of its session). A page that connects later receives
-  the last message. While a drawing is in flight, only the newest later drawing is kept.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   # A headset is a page of the studio (WebXR), so no separate program is needed for each make of
   # headset. It shows the scenes of 3D panels: see
   # docs/adr/0121-a-scene-consists-of-nine-kinds-of-items.md. The tests use an emulator (iwer) in

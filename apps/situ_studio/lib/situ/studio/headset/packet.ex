@@ -1,22 +1,11 @@
 defmodule Situ.Studio.Headset.Packet do
-  @moduledoc """
-  Parses one tracking sample of a headset, as its page sends it. Little endian:
-
-  #{Situ.Studio.FrameSchema.layout_table(:headset)}
-  | 16.. | poses, each 7 32-bit floats (x, y, z, and the rotation's x, y, z, w): head, 25 joints of each hand, gaze |
-  | last | planes, as JSON: `[{"label", "pose": [7 numbers], "polygon": [[x, z], ...]}]` |
-
-  Poses of WebXR have x to the right, y up and z backward; here they become x forward, y left, z up:
-
-      iex> pose = for value <- [0.0, 1.6, -2.0, 0.0, 0.0, 0.0, 1.0], into: <<>>, do: <<value::little-float-32>>
-      iex> {5.0, [head: head]} =
-      ...>   Situ.Studio.Headset.Packet.parse(<<4, 0, 0::48, 5.0::little-float-64>> <> pose)
-      iex> {x, y, z} = head.position
-      iex> {Float.round(x, 3), abs(y), Float.round(z, 3)}
-      {2.0, 0.0, 1.6}
-      iex> Situ.Studio.Headset.Packet.parse("anything")
-      :error
-  """
+  @moduledoc false
+  # Parses one tracking sample of a headset, as its page sends it: a header (`headset` in `priv/frames.json`), and then
+  #
+  # | from byte | contents |
+  # |---|---|
+  # | 16 | poses, each 7 32-bit floats (x, y, z, and the rotation's x, y, z, w): head, 25 joints of each hand, gaze |
+  # | last | planes, as JSON: `[{"label", "pose": [7 numbers], "polygon": [[x, z], ...]}]` |
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
   alias Situ.Studio.FrameSchema
@@ -45,7 +34,20 @@ defmodule Situ.Studio.Headset.Packet do
   @spec hand_joints() :: [atom()]
   def hand_joints, do: [:palm | @joints]
 
-  @doc "Returns the page's time and the parsed values, or `:error` if the bytes are not a valid sample."
+  @doc """
+  Returns the page's time and the parsed values, or `:error` if the bytes are not a valid sample.
+
+  Poses of WebXR have x to the right, y up and z backward; here they become x forward, y left, z up:
+
+      iex> pose = for value <- [0.0, 1.6, -2.0, 0.0, 0.0, 0.0, 1.0], into: <<>>, do: <<value::little-float-32>>
+      iex> {5.0, [head: head]} =
+      ...>   Situ.Studio.Headset.Packet.parse(<<4, 0, 0::48, 5.0::little-float-64>> <> pose)
+      iex> {x, y, z} = head.position
+      iex> {Float.round(x, 3), abs(y), Float.round(z, 3)}
+      {2.0, 0.0, 1.6}
+      iex> Situ.Studio.Headset.Packet.parse("anything")
+      :error
+  """
   @spec parse(binary()) :: {float(), [{atom(), term()}]} | :error
   def parse(<<@kind, _::binary>> = bytes) do
     with {%{flags: flags, time: ms}, rest} <- FrameSchema.decode(:headset, bytes),

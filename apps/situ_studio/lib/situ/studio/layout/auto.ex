@@ -1,19 +1,13 @@
 defmodule Situ.Studio.Layout.Auto do
-  @moduledoc """
-  Chooses the layout in which a recording is first shown, by the kinds of its streams. Images with their shapes come
-  first, then audio, then lanes of states, intervals and labels, then maps of numbers as lines, then signals, with one
-  panel per group.
-
-  Images are next to the timelines. If one of them is much wider than high, all images are above the timelines, and the
-  wide one has its own row. Images of class numbers (`Situ.Studio.Layout.ImageLook`) are coloured, and are drawn over a
-  camera image if there is one.
-
-      iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
-      iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
-      iex> layout = Situ.Studio.Layout.Auto.build_layout([level, audio])
-      iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
-      [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
-  """
+  @moduledoc false
+  # Chooses the layout in which a recording is first shown, by the kinds of its streams. Images
+  # with their shapes come first, then audio, then lanes of states, intervals and labels, then
+  # maps of numbers as lines, then signals, with one panel per group.
+  #
+  # Images are next to the timelines. If one of them is much wider than high, all images are above
+  # the timelines, and the wide one has its own row. Images of class numbers
+  # (`Situ.Studio.Layout.ImageLook`) are coloured, and are drawn over a camera image if there is
+  # one.
   alias Situ.Studio.{Layout, NaturalOrder, StreamInfo}
   alias Situ.Studio.Layout.ImageLook
 
@@ -31,7 +25,16 @@ defmodule Situ.Studio.Layout.Auto do
   @spec layout_name() :: String.t()
   def layout_name, do: @name
 
-  @doc "Builds the layout of these streams. `looks` describes the images of some streams, by stream name."
+  @doc """
+  Builds the layout of these streams. `looks` describes the images of some streams, by stream
+  name.
+
+      iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
+      iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
+      iex> layout = Situ.Studio.Layout.Auto.build_layout([level, audio])
+      iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
+      [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
+  """
   @spec build_layout([StreamInfo.t()], %{optional(String.t()) => ImageLook.t()}) :: Layout.t()
   def build_layout(streams, looks \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)

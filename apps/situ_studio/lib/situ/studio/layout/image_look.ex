@@ -1,18 +1,10 @@
 defmodule Situ.Studio.Layout.ImageLook do
-  @moduledoc """
-  Determines the look of a stream's images from one of them: their shape, and whether their values are class numbers
-  (labels of a segmentation) rather than shades of grey. Drawn in grey, class numbers would be nearly black.
-
-      iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
-      iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
-      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
-      {false, true}
-      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
-      iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
-      true
-  """
+  @moduledoc false
+  # Determines the look of a stream's images from one of them: their shape, and whether their
+  # values are class numbers (labels of a segmentation) rather than shades of grey. Drawn in grey,
+  # class numbers would be nearly black.
   alias Situ.{EncodedImage, Image}
-  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.{StreamInfo, StreamReader}
 
   @enforce_keys [:width, :height]
   defstruct [:width, :height, classes: false]
@@ -29,18 +21,28 @@ defmodule Situ.Studio.Layout.ImageLook do
   @pixels 4_194_304
 
   @doc "Determines the looks of a source's image streams, by stream name. Streams that cannot be read are left out."
-  @spec detect_looks(Source.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
+  @spec detect_looks(Situ.Recording.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
   def detect_looks(source, streams) do
     pictures = for %{shape: :image, first: first} = s <- streams, first != nil, do: s
 
     for s <- Enum.take(pictures, @most),
-        {:ok, message} <- [Source.call(source, :latest_at, [s.name, s.first])],
+        {:ok, message} <- [StreamReader.latest_at(source, s.name, s.first)],
         %__MODULE__{} = look <- [detect_look(message.data)],
         into: %{},
         do: {s.name, look}
   end
 
-  @doc "Determines the look of one image. Returns `nil` for anything else."
+  @doc """
+  Determines the look of one image. Returns `nil` for anything else.
+
+      iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
+      iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
+      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
+      {false, true}
+      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
+      iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
+      true
+  """
   @spec detect_look(term()) :: t() | nil
   def detect_look(%Image{width: w, height: h} = image),
     do: build_look(w, h, class_numbers?(image))

@@ -1,19 +1,19 @@
 defmodule Situ.Studio.PipelineView.Feed do
   @moduledoc false
-  # Provides snapshots of a pipeline: from a running pipeline (a source module with `snapshot/1`), or from a stream of
-  # snapshots in a recording.
-  alias Situ.{Error, Message}
+  # Provides snapshots of a pipeline: from a running pipeline (a module of recordings with `snapshot/1`), or from a
+  # stream of snapshots in a recording.
+  alias Situ.{Error, Message, Recording}
   alias Situ.Diagnostics.{Edge, Node, Snapshot, Trace, Window}
-  alias Situ.Studio.Source
+  alias Situ.Studio.{Recordings, StreamOverview, StreamReader}
 
-  @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
+  @type t :: {:live, Recording.t()} | {:recorded, Recording.t(), stream :: String.t()}
 
-  @spec open(Source.t()) :: {:ok, t()} | {:error, Error.t()}
+  @spec open(Recording.t()) :: {:ok, t()} | {:error, Error.t()}
   # A page's derived streams do not belong to the pipeline.
-  def open({Source.DerivedStreams, %{source: source}}), do: open(source)
+  def open(%{state: %Recordings.DerivedStreams{recording: source}}), do: open(source)
 
-  def open({module, _handle} = source) do
-    if Code.ensure_loaded?(module) and function_exported?(module, :snapshot, 1),
+  def open(%Recording{} = source) do
+    if Recording.implements?(source, :snapshot, 1),
       do: {:ok, {:live, source}},
       else: open_recorded(source)
   end
@@ -24,7 +24,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   defp open_recorded(source) do
     Enum.each(@structs, &Code.ensure_loaded/1)
 
-    with {:ok, streams} <- Source.call(source, :streams, []) do
+    with {:ok, streams} <- StreamOverview.list_streams(source) do
       case Enum.find(streams, &diagnostics_stream?(source, &1)) do
         nil ->
           {:error,
@@ -46,25 +46,25 @@ defmodule Situ.Studio.PipelineView.Feed do
       (info.last != nil and info.name =~ ~r/diagnostics/i and
          match?(
            {:ok, %Message{data: %Snapshot{}}},
-           Source.call(source, :latest_at, [info.name, info.last])
+           StreamReader.latest_at(source, info.name, info.last)
          ))
   end
 
   @doc "Fetches the current snapshot (live, or the newest recorded one) and its time."
   @spec fetch_latest(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
   def fetch_latest({:live, source}) do
-    with {:ok, %Snapshot{} = snapshot} <- Source.call(source, :snapshot, []),
+    with {:ok, %Snapshot{} = snapshot} <- source.module.snapshot(source.state),
          do: {:ok, without_taps(snapshot), System.monotonic_time(:nanosecond)}
   end
 
   def fetch_latest({:recorded, source, _} = feed) do
-    with {:ok, extent} <- Source.call(source, :extent, []), do: fetch_at(feed, extent.to)
+    with {:ok, extent} <- StreamReader.fetch_extent(source), do: fetch_at(feed, extent.to)
   end
 
   @doc "Traces the message of one originating time in a running pipeline, leaving out the studio's own taps."
   @spec fetch_trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
   def fetch_trace({:live, source}, time) do
-    with {:ok, %Trace{} = trace} <- Source.call(source, :trace, [time]) do
+    with {:ok, %Trace{} = trace} <- source.module.trace(source.state, time) do
       own? = &String.starts_with?(&1, "Studio: ")
 
       {:ok,
@@ -94,7 +94,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   @doc "Fetches the last recorded snapshot at or before a time."
   @spec fetch_at(t(), Situ.Time.t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
   def fetch_at({:recorded, source, stream}, time) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %Message{data: %Snapshot{} = snapshot, originating_time: taken}} ->
         {:ok, fill_edge_fields(snapshot), taken}
 
@@ -113,8 +113,8 @@ defmodule Situ.Studio.PipelineView.Feed do
   @doc "Lists the times of at most `limit` recorded snapshots, evenly thinned."
   @spec list_times(t(), pos_integer()) :: [Situ.Time.t()]
   def list_times({:recorded, source, stream}, limit) do
-    with {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []),
-         {:ok, marks, _} <- Source.call(source, :marks, [stream, from, to, limit]) do
+    with {:ok, %{from: from, to: to}} <- StreamReader.fetch_extent(source),
+         {:ok, marks, _} <- StreamReader.read_marks(source, stream, from, to, limit) do
       Enum.map(marks, &elem(&1, 0))
     else
       _ -> []
@@ -128,7 +128,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   def list_messages(feed, stream, time, n) do
     source = elem(feed, 1)
 
-    case {time, Source.call(source, :extent, [])} do
+    case {time, StreamReader.fetch_extent(source)} do
       {:now, {:ok, %{to: to}}} -> take_earlier(source, stream, to, n)
       {time, {:ok, _}} when is_integer(time) -> take_earlier(source, stream, time, n)
       _ -> []
@@ -138,7 +138,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   defp take_earlier(_source, _stream, _time, 0), do: []
 
   defp take_earlier(source, stream, time, n) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %Message{} = message} ->
         [message | take_earlier(source, stream, message.originating_time - 1, n - 1)]
 

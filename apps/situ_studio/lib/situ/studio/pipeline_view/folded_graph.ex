@@ -1,12 +1,11 @@
 defmodule Situ.Studio.PipelineView.FoldedGraph do
-  @moduledoc """
-  Builds the graph of a pipeline with some of its composites folded. A folded composite is a single box without its
-  components. Connections that cross its border end at the box, and several connections between the same two ends are
-  merged.
-
-  The page identifies objects by keys: `"n3"` is a component, `"s:Mouth.Crop"` a composite, `"e5"` a connection and
-  `"e5+7"` several connections.
-  """
+  @moduledoc false
+  # Builds the graph of a pipeline with some of its composites folded. A folded composite is a
+  # single box without its components. Connections that cross its border end at the box, and
+  # several connections between the same two ends are merged.
+  #
+  # The page identifies objects by keys: `"n3"` is a component, `"s:Mouth.Crop"` a composite,
+  # `"e5"` a connection and `"e5+7"` several connections.
   alias Situ.Diagnostics.Snapshot
 
   defstruct nodes: [], boxes: [], edges: []

@@ -1,12 +1,7 @@
 defmodule Situ.Studio.PipelineView.Highlighting do
-  @moduledoc """
-  Decides which connections are highlighted in a pipeline's graph: connections with one delivery policy, or connections
-  whose producer waits. All others are faded. Pure.
-
-      iex> alias Situ.Studio.PipelineView.Highlighting
-      iex> for mark <- ["none", "throttle", "latest", "waits"], do: Highlighting.faded?(mark, "throttle(8)", true)
-      [false, false, true, false]
-  """
+  @moduledoc false
+  # Decides which connections are highlighted in a pipeline's graph: connections with one delivery
+  # policy, or connections whose producer waits. All others are faded. Pure.
 
   # The keys are the names that `Situ.Delivery.display_name/1` returns.
   @choices [
@@ -34,7 +29,13 @@ defmodule Situ.Studio.PipelineView.Highlighting do
   @spec graph_directions() :: [{String.t(), String.t()}]
   def graph_directions, do: @directions
 
-  @doc "Returns whether a connection is faded. A line that represents several connections has all their policies."
+  @doc """
+  Returns whether a connection is faded. A line that represents several connections has all their policies.
+
+      iex> alias Situ.Studio.PipelineView.Highlighting
+      iex> for mark <- ["none", "throttle", "latest", "waits"], do: Highlighting.faded?(mark, "throttle(8)", true)
+      [false, false, true, false]
+  """
   @spec faded?(String.t(), String.t() | nil, boolean()) :: boolean()
   def faded?("none", _policy, _waits?), do: false
   def faded?("waits", _policy, waits?), do: not waits?

@@ -6,7 +6,7 @@ defmodule Situ.Studio.PipelineView.History do
   use GenServer
 
   alias Situ.Studio.PipelineView.{Feed, Stats}
-  alias Situ.Studio.{Source, PipelineWatcher}
+  alias Situ.Studio.{PipelineWatcher, Recordings}
 
   @tick_ms 1_000
   @fine 300_000_000_000
@@ -56,7 +56,7 @@ defmodule Situ.Studio.PipelineView.History do
 
   def handle_info({:tick, now}, state) do
     earlier =
-      for {title, target} <- Source.Pipeline.list_running(state.pipelines),
+      for {title, target} <- Recordings.Pipeline.list_running(state.pipelines),
           {:ok, snapshot} <- [fetch_snapshot(target)],
           into: %{} do
         sample = Stats.compute_sample(snapshot, now, state.earlier[title])

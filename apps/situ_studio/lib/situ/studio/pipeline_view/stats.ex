@@ -1,16 +1,10 @@
 defmodule Situ.Studio.PipelineView.Stats do
-  @moduledoc """
-  Computes the statistics of a running pipeline that can be plotted or used to colour the graph.
-
-  Rates are computed from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from
-  one. Means and recent values cover the pipeline's last averaging span. If no messages were processed in that span,
-  means cover the whole run.
-
-      iex> Situ.Studio.PipelineView.Stats.format_value("latency_mean", 12.3456)
-      "12.3 ms"
-      iex> Situ.Studio.PipelineView.Stats.format_value("memory", 2_500_000)
-      "2.50 MB"
-  """
+  @moduledoc false
+  # Computes the statistics of a running pipeline that can be plotted or used to colour the graph.
+  #
+  # Rates are computed from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them,
+  # everything else from one. Means and recent values cover the pipeline's last averaging span. If
+  # no messages were processed in that span, means cover the whole run.
   alias Situ.Diagnostics.Snapshot
 
   # Each row has an id, the kind of object, a display name, a unit, and the way to combine the values of several edges.
@@ -190,7 +184,14 @@ defmodule Situ.Studio.PipelineView.Stats do
     end
   end
 
-  @doc "Formats a value with its unit."
+  @doc """
+  Formats a value with its unit.
+
+      iex> Situ.Studio.PipelineView.Stats.format_value("latency_mean", 12.3456)
+      "12.3 ms"
+      iex> Situ.Studio.PipelineView.Stats.format_value("memory", 2_500_000)
+      "2.50 MB"
+  """
   @spec format_value(id(), number() | nil) :: String.t()
   def format_value(_id, nil), do: "–"
 

@@ -1,21 +1,8 @@
 defmodule Situ.Studio.PipelineView.Waits do
-  @moduledoc """
-  Finds the waiting producers of a pipeline and the causes. A producer waits if an input accepts no more messages. The
-  component of this input is slow, waits for a component further downstream, or lacks messages at another input.
-
-      iex> alias Situ.Diagnostics.{Edge, Node, Snapshot}
-      iex> nodes = for {id, path} <- [{1, "Camera"}, {2, "Resize"}, {3, "Detect"}], do: %Node{id: id, path: path}
-      iex> edge = fn id, from, to ->
-      ...>   %Edge{id: id, from: from, to: to, to_input: :in, kind: :process, throttled: true, queue: 16, policy: "all"}
-      ...> end
-      iex> snapshot = %Snapshot{nodes: nodes, edges: [edge.(1, 1, 2), edge.(2, 2, 3)]}
-      iex> sample = %{at: 0, edges: %{1 => %{"busy" => 3.0}, 2 => %{"busy" => 97.0}}, nodes: %{}}
-      iex> for wait <- Situ.Studio.PipelineView.Waits.list_waits(snapshot, sample), do: {wait.who, wait.input, wait.why}
-      [
-        {"Camera", "Resize", "Resize is itself waiting because Detect is slow"},
-        {"Resize", "Detect", "Detect is busy 97.0 % of the time"}
-      ]
-  """
+  @moduledoc false
+  # Finds the waiting producers of a pipeline and the causes. A producer waits if an input accepts
+  # no more messages. The component of this input is slow, waits for a component further
+  # downstream, or lacks messages at another input.
   alias Situ.Diagnostics.Snapshot
   alias Situ.Studio.PipelineView.{FoldedGraph, Stats}
 
@@ -32,7 +19,22 @@ defmodule Situ.Studio.PipelineView.Waits do
   # A component that is busy for this percentage of its time cannot take more messages.
   @full 90.0
 
-  @doc "Lists the current waits in the order of the connections."
+  @doc """
+  Lists the current waits in the order of the connections.
+
+      iex> alias Situ.Diagnostics.{Edge, Node, Snapshot}
+      iex> nodes = for {id, path} <- [{1, "Camera"}, {2, "Resize"}, {3, "Detect"}], do: %Node{id: id, path: path}
+      iex> edge = fn id, from, to ->
+      ...>   %Edge{id: id, from: from, to: to, to_input: :in, kind: :process, throttled: true, queue: 16, policy: "all"}
+      ...> end
+      iex> snapshot = %Snapshot{nodes: nodes, edges: [edge.(1, 1, 2), edge.(2, 2, 3)]}
+      iex> sample = %{at: 0, edges: %{1 => %{"busy" => 3.0}, 2 => %{"busy" => 97.0}}, nodes: %{}}
+      iex> for wait <- Situ.Studio.PipelineView.Waits.list_waits(snapshot, sample), do: {wait.who, wait.input, wait.why}
+      [
+        {"Camera", "Resize", "Resize is itself waiting because Detect is slow"},
+        {"Resize", "Detect", "Detect is busy 97.0 % of the time"}
+      ]
+  """
   @spec list_waits(Snapshot.t(), Stats.sample()) :: [t()]
   def list_waits(%Snapshot{} = snapshot, sample) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})

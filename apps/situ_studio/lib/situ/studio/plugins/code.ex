@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Plugins.Code do
-  @moduledoc """
-  Loads the Elixir half of a plug-in: compiles the modules below its `lib/` into this VM, once for each version of a
-  file.
-
-  A plug-in cannot define a module that already exists, so that it does not replace one of Situ's modules by accident.
-  """
+  @moduledoc false
+  # Loads the Elixir half of a plug-in: compiles the modules below its `lib/` into this VM, once
+  # for each version of a file.
+  #
+  # A plug-in cannot define a module that already exists, so that it does not replace one of
+  # Situ's modules by accident.
   alias Situ.Error
 
   @doc "Loads the modules of a plug-in. Errors are `:bad_plugin` with the compiler's message."

@@ -1,6 +1,14 @@
 defmodule Situ.Studio.Plugins.Sandbox do
-  @moduledoc """
-  Runs code of a plug-in in a separate process. Code that fails, hangs or uses too much memory affects only its panel.
+  @moduledoc false
+  # Runs code of a plug-in in a separate process. Code that fails, hangs or uses too much memory
+  # affects only its panel.
+  @ms 5_000
+  # The heap limit in words, which is 1 GB.
+  @words 125_000_000
+
+  @doc """
+  Returns the result of `work`, or the reason if it fails or does not return within `ms`
+  milliseconds.
 
       iex> Situ.Studio.Plugins.Sandbox.run(fn -> 1 + 1 end)
       {:ok, 2}
@@ -9,11 +17,6 @@ defmodule Situ.Studio.Plugins.Sandbox do
       iex> Situ.Studio.Plugins.Sandbox.run(fn -> Process.sleep(:infinity) end, 20)
       {:error, "it did not return within 20 ms"}
   """
-  @ms 5_000
-  # The heap limit in words, which is 1 GB.
-  @words 125_000_000
-
-  @doc "Returns the result of `work`, or the reason if it fails or does not return within `ms` milliseconds."
   @spec run((() -> result), pos_integer()) :: {:ok, result} | {:error, String.t()}
         when result: term()
   def run(work, ms \\ @ms) do

@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Plugins.Template do
-  @moduledoc "Writes the template of a new plug-in, for `situ plugin new`."
+  @moduledoc false
+  # Writes the template of a new plug-in, for `situ plugin new`.
   alias Situ.Error
 
   @name ~r/\A[a-z][a-z0-9-]{0,39}\z/

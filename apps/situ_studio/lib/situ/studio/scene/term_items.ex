@@ -1,17 +1,7 @@
 defmodule Situ.Studio.Scene.TermItems do
-  @moduledoc """
-  Collects the drawable items of any term in space: poses, rays, boxes, point clouds, skeletons, camera views and the
-  like, alone or in lists, tuples and maps, with optional names.
-
-      iex> alias Situ.Studio.Scene.TermItems
-      iex> {[item], []} = TermItems.collect_items([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])
-      iex> {item.kind, item.count}
-      {:graphs, 2}
-      iex> TermItems.any?(%{name: "lamp", at: Situ.Pose.identity()})
-      true
-      iex> TermItems.any?([1, 2, 3])
-      false
-  """
+  @moduledoc false
+  # Collects the drawable items of any term in space: poses, rays, boxes, point clouds, skeletons,
+  # camera views and the like, alone or in lists, tuples and maps, with optional names.
   # See docs/adr/0121-a-scene-consists-of-nine-kinds-of-items.md.
   alias Situ.{Box3, CameraIntrinsics, CameraView, DepthImage, EncodedImage, Image, Line3, Mesh}
   alias Situ.{Plane, Point3, PointCloud, Pose, PoseVelocity, Ray3, Rectangle3, Skeleton, Vector3}
@@ -102,7 +92,18 @@ defmodule Situ.Studio.Scene.TermItems do
 
   defp empty_term?(_term, _), do: false
 
-  @doc "Returns the items of a term and descriptions of its problems."
+  @doc """
+  Returns the items of a term and descriptions of its problems.
+
+      iex> alias Situ.Studio.Scene.TermItems
+      iex> {[item], []} = TermItems.collect_items([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])
+      iex> {item.kind, item.count}
+      {:graphs, 2}
+      iex> TermItems.any?(%{name: "lamp", at: Situ.Pose.identity()})
+      true
+      iex> TermItems.any?([1, 2, 3])
+      false
+  """
   @spec collect_items(term(), settings()) :: {[Scene.item()], [String.t()]}
   def collect_items(term, settings \\ %{}) do
     settings = Map.merge(@defaults, settings)

@@ -1,15 +1,14 @@
 defmodule Situ.Studio.VideoExport.Job do
-  @moduledoc """
-  Exports one video for one page: reports the progress to the page, keeps the file until the page is closed, and can be
-  cancelled. The page receives `{:film, key, event}`, where `event` is `{:progress, part}`, `{:done, bytes}` or
-  `{:error, error}`.
-  """
+  @moduledoc false
+  # Exports one video for one page: reports the progress to the page, keeps the file until the
+  # page is closed, and can be cancelled. The page receives `{:film, key, event}`, where `event`
+  # is `{:progress, part}`, `{:done, bytes}` or `{:error, error}`.
   use GenServer, restart: :temporary
 
-  alias Situ.Studio.{Catalog, VideoExport, Source}
+  alias Situ.Studio.{Catalog, VideoExport}
 
   @doc "Starts an export for the calling process. Returns the key for fetching the finished file."
-  @spec start_job(Catalog.id(), VideoExport.t(), Source.t()) :: {:ok, String.t()}
+  @spec start_job(Catalog.id(), VideoExport.t(), Situ.Recording.t()) :: {:ok, String.t()}
   def start_job(studio, %VideoExport{} = film, source) do
     key = Base.url_encode64(:crypto.strong_rand_bytes(18))
     args = %{studio: studio, key: key, film: film, source: source, page: self()}

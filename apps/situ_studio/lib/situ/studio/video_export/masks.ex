@@ -1,15 +1,8 @@
 defmodule Situ.Studio.VideoExport.Masks do
-  @moduledoc """
-  Draws masks into the images of a video, semi-transparent and coloured as on the page
-  (`Situ.Studio.Visualizers.Masks`). Masks of objects are drawn in their boxes, and masks of classes over the part of
-  the image that was the network's input.
-
-      iex> image = Situ.Image.new_filled(2, 1, :bgr24, [0, 0, 0])
-      iex> mask = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<0, 255>>)
-      iex> found = {:objects, [{%Situ.Rect{x: 0, y: 0, width: 2, height: 1, id: 0}, mask}]}
-      iex> Situ.Studio.VideoExport.Masks.draw_masks(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
-      <<0, 0, 0, 20, 100, 50>>
-  """
+  @moduledoc false
+  # Draws masks into the images of a video, semi-transparent and coloured as on the page
+  # (`Situ.Studio.Visualizers.Masks`). Masks of objects are drawn in their boxes, and masks of
+  # classes over the part of the image that was the network's input.
   alias Situ.{Image, ImageOps}
   alias Situ.Studio.Visualizers.Masks, as: Found
 
@@ -18,7 +11,16 @@ defmodule Situ.Studio.VideoExport.Masks do
   @opacity 45
   @shades {1, 0.6, 0.8, 0.4}
 
-  @doc "Draws masks over a `:bgr24` image. `palette` has red, green and blue, 0..255; `own` is the stream's index."
+  @doc """
+  Draws masks over a `:bgr24` image. `palette` has red, green and blue, 0..255; `own` is the
+  stream's index.
+
+      iex> image = Situ.Image.new_filled(2, 1, :bgr24, [0, 0, 0])
+      iex> mask = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<0, 255>>)
+      iex> found = {:objects, [{%Situ.Rect{x: 0, y: 0, width: 2, height: 1, id: 0}, mask}]}
+      iex> Situ.Studio.VideoExport.Masks.draw_masks(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
+      <<0, 0, 0, 20, 100, 50>>
+  """
   @spec draw_masks(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
   def draw_masks(image, {:classes, classes}, _own, palette, props) do
     box = covered_rect(classes, image, props["fit"] || "pad")

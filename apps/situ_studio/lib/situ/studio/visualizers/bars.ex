@@ -1,18 +1,8 @@
 defmodule Situ.Studio.Visualizers.Bars do
-  @moduledoc """
-  Draws a message as bars: a list of numbers, a map from names to numbers, or a list of `{name, number}`. A map from
-  names to such lists is several series. They can also be drawn as lines, areas or a plot over x, vertically or
-  horizontally.
-
-      iex> Situ.Studio.Visualizers.Bars.bar_rows(%{"b" => 2, "a" => 1.5})
-      [["a", 1.5], ["b", 2]]
-      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, 1])
-      [["0", 3], ["1", 1]]
-      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, :x])
-      []
-      iex> Situ.Studio.Visualizers.Bars.named_series(%{right: [{"go", 1}], left: [3, 4]})
-      [["left", [["0", 3], ["1", 4]]], ["right", [["go", 1]]]]
-  """
+  @moduledoc false
+  # Draws a message as bars: a list of numbers, a map from names to numbers, or a list of `{name,
+  # number}`. A map from names to such lists is several series. They can also be drawn as lines,
+  # areas or a plot over x, vertically or horizontally.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Draw.Key
@@ -79,7 +69,19 @@ defmodule Situ.Studio.Visualizers.Bars do
 
   def named_series(_), do: []
 
-  @doc "Returns `[label, value]` pairs in order, or an empty list for a term that cannot be drawn as bars."
+  @doc """
+  Returns `[label, value]` pairs in order, or an empty list for a term that cannot be drawn as
+  bars.
+
+      iex> Situ.Studio.Visualizers.Bars.bar_rows(%{"b" => 2, "a" => 1.5})
+      [["a", 1.5], ["b", 2]]
+      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, 1])
+      [["0", 3], ["1", 1]]
+      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, :x])
+      []
+      iex> Situ.Studio.Visualizers.Bars.named_series(%{right: [{"go", 1}], left: [3, 4]})
+      [["left", [["0", 3], ["1", 4]]], ["right", [["go", 1]]]]
+  """
   @spec bar_rows(term()) :: [[String.t() | number()]]
   def bar_rows(%_{}), do: []
 

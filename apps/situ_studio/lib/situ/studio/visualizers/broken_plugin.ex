@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.BrokenPlugin do
-  @moduledoc "Replaces a visualizer whose plug-in could not be loaded. Its panel shows the reason."
+  @moduledoc false
+  # Replaces a visualizer whose plug-in could not be loaded. Its panel shows the reason.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

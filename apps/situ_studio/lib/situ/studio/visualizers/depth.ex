@@ -1,5 +1,7 @@
 defmodule Situ.Studio.Visualizers.Depth do
-  @moduledoc "Draws the depth image at the cursor in false colours. The page receives the values and colours them."
+  @moduledoc false
+  # Draws the depth image at the cursor in false colours. The page receives the values and colours
+  # them.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Visualizer

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.Frames do
-  @moduledoc """
-  Draws a tree of frames of reference, and gives the panel's other layers, which may be in one of these frames, the pose
-  of each frame in its root. The panel is drawn in the frame `fixed`, or in the first root.
-  """
+  @moduledoc false
+  # Draws a tree of frames of reference, and gives the panel's other layers, which may be in one
+  # of these frames, the pose of each frame in its root. The panel is drawn in the frame `fixed`,
+  # or in the first root.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Space.FrameTree
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Visualizer, StreamReader}
   alias Situ.Studio.Draw.WindowMessages
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Visualizers.Frames do
 
   # Transforms that are always valid are usually sent only once, at the beginning.
   defp read_frames(source, stream, time) do
-    with {:ok, first, _} <- Source.call(source, :messages, [stream, 0, time, @first]),
+    with {:ok, first, _} <- StreamReader.read_messages(source, stream, 0, time, @first),
          {:ok, near, _} <-
            WindowMessages.fetch_within(source, stream, time - @window, time + @second) do
       known = Enum.filter(first, &(&1.originating_time < time - @window))

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.GeoMap do
-  @moduledoc """
-  Draws positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the track of the whole
-  recording, and the position at the cursor. `Situ.GeoPoint.from_data/1` lists the values that are positions.
-  """
+  @moduledoc false
+  # Draws positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map:
+  # the track of the whole recording, and the position at the cursor. `Situ.GeoPoint.from_data/1`
+  # lists the values that are positions.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.GeoPoint
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamReader}
   alias Situ.Studio.Draw.{Bins, WindowMessages}
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -52,7 +52,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
         {:ok, messages, true}
 
       {:ok, _, false} ->
-        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @most),
+        with {:ok, rows} <- StreamReader.sample_messages(source, stream, from, to, @most),
              do: {:ok, Enum.map(rows, &elem(&1, 1)), false}
 
       error ->

@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Image do
-  @moduledoc "Draws the image at the cursor."
+  @moduledoc false
+  # Draws the image at the cursor.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

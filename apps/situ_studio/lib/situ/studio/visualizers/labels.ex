@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Labels do
-  @moduledoc "Draws texts on a lane, each from its message until the next one."
+  @moduledoc false
+  # Draws texts on a lane, each from its message until the next one.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw.Segments, Visualizer}

@@ -1,8 +1,10 @@
 defmodule Situ.Studio.Visualizers.Latency do
-  @moduledoc "Draws the latency of each message (from originating to creation time, in milliseconds) as a stem."
+  @moduledoc false
+  # Draws the latency of each message (from originating to creation time, in milliseconds) as a
+  # stem.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Visualizer, StreamReader}
   alias Situ.Studio.Draw.{Bins, Values}
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -18,7 +20,7 @@ defmodule Situ.Studio.Visualizers.Latency do
 
   @impl true
   def window(source, channel, %{stream: stream}, from, to, bin) do
-    with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @rows]) do
+    with {:ok, rows, all} <- StreamReader.read_marks(source, stream, from, to, @rows) do
       points = for {t, latency} <- rows, do: Bins.point(t, latency / 1.0e6)
       {points, raw?} = Bins.fold_points(points, bin, @points)
       Frame.series(channel, points, raw?, sampled: all == :more)

@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Visualizers.Line do
-  @moduledoc "Draws one number over time, from a whole stream or from a part of its messages."
+  @moduledoc false
+  # Draws one number over time, from a whole stream or from a part of its messages.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamOverview, Recordings}
   alias Situ.Studio.Draw.{Bins, WindowMessages, Values}
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -23,7 +24,7 @@ defmodule Situ.Studio.Visualizers.Line do
 
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
-    if Source.DerivedStreams.derived_name?(stream),
+    if Recordings.DerivedStreams.derived_name?(stream),
       do: frame_from_messages(source, channel, spec, from, to, bin),
       else: summary_frame(source, channel, stream, from, to, bin)
   end
@@ -36,7 +37,7 @@ defmodule Situ.Studio.Visualizers.Line do
     do: Values.fetch_at(source, channel, spec, time, fn data, _message -> [{"", data}] end)
 
   defp summary_frame(source, channel, stream, from, to, bin) do
-    with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
+    with {:ok, points, raw?} <- StreamOverview.read_series(source, stream, from, to, bin),
          do: Frame.series(channel, points, raw?)
   end
 

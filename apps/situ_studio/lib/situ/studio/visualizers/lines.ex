@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Visualizers.Lines do
-  @moduledoc """
-  Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
-  """
+  @moduledoc false
+  # Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a
+  # gap.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamOverview}
   alias Situ.Studio.Draw.{Bins, Key, WindowMessages, Values}
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -20,7 +20,7 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   @impl true
   def window(source, channel, %{path: []} = spec, from, to, bin) do
-    case Source.fetch_summary(source, spec.stream, from, to, max(div(to - from, bin), 2)) do
+    case StreamOverview.fetch_summary(source, spec.stream, from, to, max(div(to - from, bin), 2)) do
       {:ok, %{tracks: tracks}} -> summary_frame(channel, tracks)
       :none -> frame_from_messages(source, channel, spec, from, to, bin)
       error -> error

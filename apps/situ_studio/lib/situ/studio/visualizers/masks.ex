@@ -1,18 +1,15 @@
 defmodule Situ.Studio.Visualizers.Masks do
-  @moduledoc """
-  Draws masks over images. The masks are an image whose values are class numbers (`Situ.Infer.Segmentation`), or a list
-  of `:gray8` images, each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the
-  masks as pairs (`{rect, mask}`), or from the stream that has the same number of `Situ.Rect`s at the same time. The
-  page receives masks as runs: a value and its number of repetitions, starting at the upper left corner.
-
-      iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
-      iex> Situ.Studio.Visualizers.Masks.encode_runs(image)
-      %{"width" => 2, "height" => 2, "runs" => [0, 1, 7, 3]}
-  """
+  @moduledoc false
+  # Draws masks over images. The masks are an image whose values are class numbers
+  # (`Situ.Infer.Segmentation`), or a list of `:gray8` images, each bright where the object in its
+  # box is (`Situ.Infer.ObjectDetector`). The boxes come with the masks as pairs (`{rect, mask}`),
+  # or from the stream that has the same number of `Situ.Rect`s at the same time. The page
+  # receives masks as runs: a value and its number of repetitions, starting at the upper left
+  # corner.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.{Image, Rect}
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Visualizer, StreamOverview, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   # More masks in one image cannot be distinguished, and larger ones add no detail.
@@ -54,7 +51,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   @doc "Fetches the classes in a message's data, or the objects with their boxes, or the reason why there are none."
-  @spec fetch_masks(term(), Source.t(), String.t(), Situ.Time.t()) ::
+  @spec fetch_masks(term(), Situ.Recording.t(), String.t(), Situ.Time.t()) ::
           {:ok, found()} | {:error, String.t()}
   def fetch_masks(%Image{} = image, _source, _stream, _time) do
     with {:ok, image} <- validate_gray(image), do: {:ok, {:classes, image}}
@@ -113,7 +110,7 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   # Tries the streams with the most similar names first, because the outputs of a detector share a prefix.
   defp find_rects(source, stream, time, count) do
-    with {:ok, infos} <- Source.call(source, :streams, []) do
+    with {:ok, infos} <- StreamOverview.list_streams(source) do
       infos
       |> Enum.filter(&(&1.shape == :shapes))
       |> Enum.sort_by(&(-common_prefix_size(&1.name, stream)))
@@ -124,7 +121,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   defp rects_at(source, stream, time, count) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %{originating_time: ^time, data: rects}}
       when is_list(rects) and length(rects) == count ->
         if Enum.all?(rects, &is_struct(&1, Rect)), do: {:ok, rects}
@@ -136,7 +133,13 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   defp common_prefix_size(a, b), do: :binary.longest_common_prefix([a, b])
 
-  @doc "Encodes a `:gray8` image as runs."
+  @doc """
+  Encodes a `:gray8` image as runs.
+
+      iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
+      iex> Situ.Studio.Visualizers.Masks.encode_runs(image)
+      %{"width" => 2, "height" => 2, "runs" => [0, 1, 7, 3]}
+  """
   @spec encode_runs(Image.t()) :: map()
   def encode_runs(%Image{width: w, height: h} = image),
     do: %{"width" => w, "height" => h, "runs" => image |> Image.pixel_bytes() |> collect_runs([])}

@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Visualizers.Messages do
-  @moduledoc "Draws a mark at the time of each message."
+  @moduledoc false
+  # Draws a mark at the time of each message.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Visualizer, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @rows 20_000
@@ -15,7 +16,7 @@ defmodule Situ.Studio.Visualizers.Messages do
 
   @impl true
   def window(source, channel, %{stream: stream}, from, to, _bin) do
-    with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @rows]),
+    with {:ok, rows, all} <- StreamReader.read_marks(source, stream, from, to, @rows),
          do: Frame.marks(channel, rows, all == :all)
   end
 end

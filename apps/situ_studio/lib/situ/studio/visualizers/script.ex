@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Script do
   @moduledoc """
-  Implements the server's half of a visualizer that is only a script. It sends the message at the cursor, or the
-  messages of some seconds before it, as JSON.
+  Implements the server's half of a visualizer that is only a script of a plug-in (`Situ.Studio.Plugins`). It sends the
+  message at the cursor, or the messages of some seconds before it, as JSON.
 
   Numbers, strings, `true`, `false` and `nil` stay the same. Atoms become strings, lists and tuples become arrays, and
   maps and structs become objects (a struct has its name as `"type"`). Bytes that are not text become `{"bytes": SIZE}`,
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Visualizers.Script do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Draw.WindowMessages
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer, StreamReader}
 
   @second 1_000_000_000
   @rows 5_000
@@ -51,7 +51,7 @@ defmodule Situ.Studio.Visualizers.Script do
   defp read_past(source, stream, from, to) do
     with {:ok, messages, true} when length(messages) > @rows <-
            WindowMessages.fetch_within(source, stream, from, to),
-         {:ok, rows} <- Source.sample_messages(source, stream, from, to, @rows),
+         {:ok, rows} <- StreamReader.sample_messages(source, stream, from, to, @rows),
          do: {:ok, Enum.map(rows, &elem(&1, 1)), false}
   end
 

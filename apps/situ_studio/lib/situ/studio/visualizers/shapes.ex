@@ -1,20 +1,14 @@
 defmodule Situ.Studio.Visualizers.Shapes do
-  @moduledoc """
-  Draws rectangles, points, lines and texts over images. It finds them in any term: a `Situ.Rect`, a `Situ.Point2`, a
-  line (a pair of points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs with such
-  fields (a face with its box and landmarks). A trail shows where they were in the last seconds.
-
-  A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
-
-      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([%Situ.Point2{x: 1.0, y: 2.0}])
-      %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
-      iex> point = &%Situ.Point2{x: &1, y: &2}
-      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([{point.(1, 2), point.(3, 4)}, nil])["lines"]
-      [[1, 2, 3, 4]]
-  """
+  @moduledoc false
+  # Draws rectangles, points, lines and texts over images. It finds them in any term: a
+  # `Situ.Rect`, a `Situ.Point2`, a line (a pair of points, or a map of two points `from` and
+  # `to`), lists, tuples and maps of them, and structs with such fields (a face with its box and
+  # landmarks). A trail shows where they were in the last seconds.
+  #
+  # A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @limit 5_000
@@ -72,7 +66,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   end
 
   defp past_messages(source, stream, from, to) do
-    case Source.call(source, :messages, [stream, from, to, @past]) do
+    case StreamReader.read_messages(source, stream, from, to, @past) do
       {:ok, messages, :all} -> messages
       {:ok, _, :more} -> sample_messages(source, stream, from, to)
       _ -> []
@@ -80,13 +74,21 @@ defmodule Situ.Studio.Visualizers.Shapes do
   end
 
   defp sample_messages(source, stream, from, to) do
-    case Source.sample_messages(source, stream, from, to, @past) do
+    case StreamReader.sample_messages(source, stream, from, to, @past) do
       {:ok, rows} -> Enum.map(rows, &elem(&1, 1))
       _ -> []
     end
   end
 
-  @doc "Returns the shapes to draw, in the page's format."
+  @doc """
+  Returns the shapes to draw, in the page's format.
+
+      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([%Situ.Point2{x: 1.0, y: 2.0}])
+      %{"lines" => [], "points" => [[1.0, 2.0, nil]], "rects" => [], "texts" => []}
+      iex> point = &%Situ.Point2{x: &1, y: &2}
+      iex> Situ.Studio.Visualizers.Shapes.collect_shapes([{point.(1, 2), point.(3, 4)}, nil])["lines"]
+      [[1, 2, 3, 4]]
+  """
   @spec collect_shapes(term()) :: map()
   def collect_shapes(term) do
     {rects, points, texts, _} = collect_term(term, nil, {[], [], [], @limit}, 0)

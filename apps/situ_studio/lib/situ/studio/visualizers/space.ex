@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.Space do
-  @moduledoc """
-  Draws objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and cameras with their images
-  (`Situ.Studio.Scene.TermItems`).
-
-  A cloud with more points than "Maximum points" is first sent thinned. When the view stops moving, the page sends
-  another request with the property `within`: the planes around the visible part of the scene, as a list of four numbers
-  each. The reply contains only clouds, with as many points of that part as the limit allows.
-  """
+  @moduledoc false
+  # Draws objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and
+  # cameras with their images (`Situ.Studio.Scene.TermItems`).
+  #
+  # A cloud with more points than "Maximum points" is first sent thinned. When the view stops
+  # moving, the page sends another request with the property `within`: the planes around the
+  # visible part of the scene, as a list of four numbers each. The reply contains only clouds,
+  # with as many points of that part as the limit allows.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Scene, Visualizer}

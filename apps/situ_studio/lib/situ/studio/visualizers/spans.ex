@@ -1,25 +1,16 @@
 defmodule Situ.Studio.Visualizers.Spans do
-  @moduledoc """
-  Draws time intervals in messages from their start to their end, independent of the message's own time. It accepts a
-  `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and optionally a `text`, `label`
-  or `name` (an utterance), a `text` with `from` and `to` (a recognised sentence), a pair of an interval and its text,
-  lists of these, and maps from names of lanes to these. During an utterance, a recogniser sends several drafts of its
-  text (`final?: false`), of which only the newest is drawn.
-
-      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
-      [{10, 20, "hello", "span", "Ada"}]
-      iex> Situ.Studio.Visualizers.Spans.find_spans({Situ.Interval.closed(1, 5), "yes"}, 5)
-      [{1, 5, "yes", "span", ""}]
-      iex> Situ.Studio.Visualizers.Spans.find_spans(%{text: "ten of clubs", from: 3, to: 9}, 9)
-      [{3, 9, "ten of clubs", "span", ""}]
-      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"count" => 3}, 5)
-      []
-  """
+  @moduledoc false
+  # Draws time intervals in messages from their start to their end, independent of the message's
+  # own time. It accepts a `Situ.Interval` of times, anything with `start` and `stop` (or `end`)
+  # in nanoseconds and optionally a `text`, `label` or `name` (an utterance), a `text` with `from`
+  # and `to` (a recognised sentence), a pair of an interval and its text, lists of these, and maps
+  # from names of lanes to these. During an utterance, a recogniser sends several drafts of its
+  # text (`final?: false`), of which only the newest is drawn.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Interval
   alias Situ.Studio.Draw.{Key, WindowMessages, Segments}
-  alias Situ.Studio.{ValuePath, Source, Visualizer}
+  alias Situ.Studio.{ValuePath, Visualizer, StreamReader}
 
   @limit 1_000
   @starts [:start, "start"]
@@ -35,8 +26,8 @@ defmodule Situ.Studio.Visualizers.Spans do
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
     with {:ok, messages, all?} <- WindowMessages.fetch_within(source, stream, from, to) do
-      before = Source.list_neighbours(source, stream, :before, from, @around)
-      later = Source.list_neighbours(source, stream, :after, to, @around)
+      before = StreamReader.list_neighbours(source, stream, :before, from, @around)
+      later = StreamReader.list_neighbours(source, stream, :after, to, @around)
       messages = drop_drafts(Enum.reverse(before) ++ messages ++ later)
 
       rows =
@@ -58,7 +49,18 @@ defmodule Situ.Studio.Visualizers.Spans do
   defp drop_drafts([message | rest]), do: [message | drop_drafts(rest)]
   defp drop_drafts([]), do: []
 
-  @doc "Returns the intervals in a message's data, in order. Intervals without a start begin at `time`."
+  @doc """
+  Returns the intervals in a message's data, in order. Intervals without a start begin at `time`.
+
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
+      [{10, 20, "hello", "span", "Ada"}]
+      iex> Situ.Studio.Visualizers.Spans.find_spans({Situ.Interval.closed(1, 5), "yes"}, 5)
+      [{1, 5, "yes", "span", ""}]
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{text: "ten of clubs", from: 3, to: 9}, 9)
+      [{3, 9, "ten of clubs", "span", ""}]
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"count" => 3}, 5)
+      []
+  """
   @spec find_spans(term(), Situ.Time.t()) :: [Segments.t()]
   def find_spans(data, time) do
     case lane_spans(data, time) do

@@ -1,12 +1,11 @@
 defmodule Situ.Studio.Visualizers.Spectrogram do
-  @moduledoc """
-  Draws the frequencies of audio over time. The page receives a short segment of audio for each of several hundred
-  positions in the window and transforms them in a worker. When the view is zoomed out, the segments are samples of the
-  audio.
-  """
+  @moduledoc false
+  # Draws the frequencies of audio over time. The page receives a short segment of audio for each
+  # of several hundred positions in the window and transforms them in a worker. When the view is
+  # zoomed out, the segments are samples of the audio.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, AudioSamples, Source, Visualizer}
+  alias Situ.Studio.{Frame, AudioSamples, Visualizer, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @samples 512
@@ -59,8 +58,8 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
   defp selected_channel(_), do: 0
 
   defp sample_rate(source, stream, time) do
-    with :none <- Source.call(source, :next_after, [stream, time]),
-         :none <- Source.call(source, :latest_at, [stream, time]) do
+    with :none <- StreamReader.next_after(source, stream, time),
+         :none <- StreamReader.latest_at(source, stream, time) do
       {:ok, 16_000}
     else
       {:ok, %{data: %Situ.AudioBuffer{format: format}}} -> {:ok, format.rate}

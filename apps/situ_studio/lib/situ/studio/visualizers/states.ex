@@ -1,8 +1,10 @@
 defmodule Situ.Studio.Visualizers.States do
-  @moduledoc "Draws states that hold until the next message: booleans, atoms, and maps of them with a lane per key."
+  @moduledoc false
+  # Draws states that hold until the next message: booleans, atoms, and maps of them with a lane
+  # per key.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Source, Visualizer}
+  alias Situ.Studio.{Visualizer, StreamOverview, StreamReader}
   alias Situ.Studio.Draw.{GapDetection, Segments, SummaryLanes}
 
   @impl true
@@ -17,11 +19,11 @@ defmodule Situ.Studio.Visualizers.States do
   # If there are too many messages to distinguish, the source's summary is drawn. Parts of messages have no summary.
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
-    case Source.fetch_summary(source, stream, from, to, max(div(to - from, bin), 2)) do
+    case StreamOverview.fetch_summary(source, stream, from, to, max(div(to - from, bin), 2)) do
       {:ok, summary} ->
-        later = message_time(Source.call(source, :next_after, [stream, to]))
-        newest = List.wrap(message_time(Source.call(source, :latest_at, [stream, to])))
-        before = message_time(Source.call(source, :latest_at, [stream, from - 1]))
+        later = message_time(StreamReader.next_after(source, stream, to))
+        newest = List.wrap(message_time(StreamReader.latest_at(source, stream, to)))
+        before = message_time(StreamReader.latest_at(source, stream, from - 1))
 
         summary
         |> SummaryLanes.from_summary(later)

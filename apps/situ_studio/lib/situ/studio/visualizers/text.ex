@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Text do
-  @moduledoc "Draws the text at the cursor in large letters."
+  @moduledoc false
+  # Draws the text at the cursor in large letters.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

@@ -1,11 +1,10 @@
 defmodule Situ.Studio.Visualizers.Trail do
-  @moduledoc """
-  Draws the past positions of objects in space: the points of every message in the last seconds before the cursor, and a
-  line through the first point of each message.
-  """
+  @moduledoc false
+  # Draws the past positions of objects in space: the points of every message in the last seconds
+  # before the cursor, and a line through the first point of each message.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Scene, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Scene, Visualizer, StreamReader}
   alias Situ.Studio.Draw.WindowMessages
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -61,7 +60,7 @@ defmodule Situ.Studio.Visualizers.Trail do
         {:ok, messages}
 
       {:ok, _, _} ->
-        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @most),
+        with {:ok, rows} <- StreamReader.sample_messages(source, stream, from, to, @most),
              do: {:ok, Enum.map(rows, &elem(&1, 1))}
 
       error ->

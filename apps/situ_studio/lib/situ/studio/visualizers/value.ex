@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Visualizers.Value do
-  @moduledoc "Shows any message at the cursor as a tree of its values."
+  @moduledoc false
+  # Shows any message at the cursor as a tree of its values.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValueTree, Visualizer}

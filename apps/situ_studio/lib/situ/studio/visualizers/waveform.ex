@@ -1,13 +1,12 @@
 defmodule Situ.Studio.Visualizers.Waveform do
-  @moduledoc """
-  Draws audio as the band between its extremes, for all channels together or for one channel. A single channel is
-  computed from the samples. A window of more than two minutes therefore shows all channels together, and the frame
-  marks this.
-  """
+  @moduledoc false
+  # Draws audio as the band between its extremes, for all channels together or for one channel. A
+  # single channel is computed from the samples. A window of more than two minutes therefore shows
+  # all channels together, and the frame marks this.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.{AudioBuffer, AudioFormat, AudioOps}
-  alias Situ.Studio.{Draw.Values, Frame, Source, Visualizer}
+  alias Situ.Studio.{Draw.Values, Frame, Visualizer, StreamOverview, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @most 120_000_000_000
@@ -56,13 +55,13 @@ defmodule Situ.Studio.Visualizers.Waveform do
   defp selected_channel(_), do: nil
 
   defp all_channels_frame(source, channel, stream, {from, to, bin}, instead?) do
-    with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
+    with {:ok, points, raw?} <- StreamOverview.read_series(source, stream, from, to, bin),
          do: Frame.series(channel, points, raw?, together: instead?)
   end
 
   defp channel_frame(source, channel, {stream, one}, from, to) do
-    with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
-      later = Source.list_neighbours(source, stream, :after, to, 1)
+    with {:ok, messages, _} <- StreamReader.read_messages(source, stream, from, to, @buffers) do
+      later = StreamReader.list_neighbours(source, stream, :after, to, 1)
 
       points =
         for %{data: %AudioBuffer{} = buffer, originating_time: time} <- messages ++ later,
@@ -98,7 +97,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
   # A buffer's time is its end, so the first buffer that ends after the cursor is heard at the cursor if it has already
   # begun. In a gap the value is the last sample of the previous buffer, and the page shows its age.
   defp fetch_sounding(source, stream, time) do
-    case Source.call(source, :next_after, [stream, time]) do
+    case StreamReader.next_after(source, stream, time) do
       {:ok, %{data: %AudioBuffer{} = buffer, originating_time: stop} = message} ->
         if AudioBuffer.frame_count(buffer) > 0 and AudioBuffer.start_time(buffer, stop) <= time,
           do: {:ok, message},
@@ -111,7 +110,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   defp fetch_before(source, stream, time) do
     with {:ok, %{data: %AudioBuffer{} = buffer} = message} <-
-           Source.call(source, :latest_at, [stream, time]),
+           StreamReader.latest_at(source, stream, time),
          do: if(AudioBuffer.frame_count(buffer) > 0, do: {:ok, message}, else: :none)
   end
 

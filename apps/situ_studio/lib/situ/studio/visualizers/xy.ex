@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Visualizers.XY do
-  @moduledoc """
-  Plots numbers against each other: the panel's first stream is x and the others are y, at the times of their messages
-  in the view. The data of each stream is the same as for a line.
-  """
+  @moduledoc false
+  # Plots numbers against each other: the panel's first stream is x and the others are y, at the
+  # times of their messages in the view. The data of each stream is the same as for a line.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Visualizer

@@ -13,10 +13,10 @@ defmodule Situ.Studio.Web.DataHttp do
     Frame,
     ValuePath,
     AudioSamples,
-    Source,
     Thumbnail,
     Visualizers,
-    Int64
+    Int64,
+    StreamReader
   }
 
   # The longest exported audio file is one hour.
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Web.DataHttp do
 
   def call(%Request{query: query}, {studio, what}) do
     with {:ok, _item, source, _} <- Comparison.open_item(studio, query["source"], query),
-         {:ok, extent} <- Source.call(source, :extent, []) do
+         {:ok, extent} <- StreamReader.fetch_extent(source) do
       build_response(
         what,
         Map.put(query, :visualizers, Catalog.settings(studio).visualizers),
@@ -91,10 +91,14 @@ defmodule Situ.Studio.Web.DataHttp do
 
   defp build_response(:step, query, source, _extent) do
     with {:ok, at} <- Int64.parse(query["at"]) do
-      {name, time} =
-        if query["dir"] == "previous", do: {:latest_at, at - 1}, else: {:next_after, at}
+      stream = text_param(query["stream"])
 
-      case Source.call(source, name, [text_param(query["stream"]), time]) do
+      found =
+        if query["dir"] == "previous",
+          do: StreamReader.latest_at(source, stream, at - 1),
+          else: StreamReader.next_after(source, stream, at)
+
+      case found do
         {:ok, message} ->
           Response.json(%{"time" => Integer.to_string(message.originating_time)})
 

@@ -5,8 +5,8 @@ defmodule Situ.Studio.Web.DerivedStreams do
 
   alias Situ.Error
   alias Situ.Live.Socket
-  alias Situ.Studio.{MemberExpressions, Source, StreamInfo}
-  alias Situ.Studio.Source.DerivedStreams
+  alias Situ.Studio.{MemberExpressions, StreamInfo, StreamReader}
+  alias Situ.Studio.Recordings.DerivedStreams
 
   @most 64
   # The members are taken from a sample of this many messages, because keys of a map may come and go.
@@ -85,7 +85,7 @@ defmodule Situ.Studio.Web.DerivedStreams do
   defp sample_values(_source, %{first: nil}), do: []
 
   defp sample_values(source, %{name: name, first: first, last: last}) do
-    case Source.sample_messages(source, name, first, last, @looked_at) do
+    case StreamReader.sample_messages(source, name, first, last, @looked_at) do
       {:ok, sample} -> for {_, message} <- sample, do: message.data
       {:error, _} -> []
     end

@@ -5,8 +5,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings, Int64}
-  alias Situ.Studio.Source.Compared
+  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Recordings, Settings, Int64}
 
   @doc "Chooses the layout that the page's address names, or the automatic one."
   @spec choose_layout(Socket.t(), map()) :: Socket.t()
@@ -84,7 +83,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   # A compared stream is shown in its counterpart's panel, so the automatic layout has no panels for it.
   defp automatic_layout(assigns) do
-    infos = Enum.reject(assigns.infos, &Compared.compared_stream?(&1.name))
+    infos = Enum.reject(assigns.infos, &Recordings.Comparison.compared_stream?(&1.name))
     Layout.Auto.build_layout(infos, Layout.ImageLook.detect_looks(assigns.source, infos))
   end
 

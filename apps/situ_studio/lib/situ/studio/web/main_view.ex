@@ -11,9 +11,9 @@ defmodule Situ.Studio.Web.MainView do
     Coverage,
     Layout,
     Settings,
-    Source,
     Statistics,
-    Int64
+    Int64,
+    StreamReader
   }
 
   alias Situ.Studio.Web.{
@@ -81,7 +81,7 @@ defmodule Situ.Studio.Web.MainView do
     case Comparison.open_item(studio, id, params) do
       {:ok, item, source, compared} ->
         if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
-        damage = Source.list_damage(source)
+        damage = StreamReader.list_damage(source)
         socket = socket |> assign(item: item, source: source, damage: damage, compared: compared)
         socket = load_streams(socket)
         shapes = socket.assigns.shapes
@@ -298,7 +298,7 @@ defmodule Situ.Studio.Web.MainView do
     Process.send_after(self(), :refresh, @refresh_ms)
     socket = AnnotationPanel.refresh_editor(socket)
 
-    case Source.call(socket.assigns.source, :extent, []) do
+    case StreamReader.fetch_extent(socket.assigns.source) do
       {:ok, %{live: true}} -> {:noreply, socket |> refresh_streams() |> load_alerts()}
       _ -> {:noreply, socket}
     end

@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.Panels do
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.AnnotationPanel
   alias Situ.Studio.{StreamColors, Layout, Visualizer, Visualizers}
-  alias Situ.Studio.Source.Compared
+  alias Situ.Studio.Recordings.Comparison
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
@@ -188,10 +188,10 @@ defmodule Situ.Studio.Web.Panels do
 
   # A stream of the compared recording has the same name as its counterpart, with a mark.
   defp mark_compared(%{stream: stream}, name),
-    do: if(Compared.compared_stream?(stream), do: "⇄ " <> name, else: name)
+    do: if(Comparison.compared_stream?(stream), do: "⇄ " <> name, else: name)
 
   defp unmarked_names(vis) do
-    {own, compared} = Enum.split_with(vis, &(not Compared.compared_stream?(&1.stream)))
+    {own, compared} = Enum.split_with(vis, &(not Comparison.compared_stream?(&1.stream)))
     short = Map.merge(index_short_names(own), index_short_names(compared))
     Enum.map(vis, &short[{&1.stream, &1.path}])
   end

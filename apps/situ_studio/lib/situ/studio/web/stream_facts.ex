@@ -4,14 +4,24 @@ defmodule Situ.Studio.Web.StreamFacts do
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{StreamColors, Coverage, Source, StreamInfo, Visualizer, Visualizers}
+
+  alias Situ.Studio.{
+    StreamColors,
+    Coverage,
+    StreamInfo,
+    Visualizer,
+    Visualizers,
+    StreamOverview,
+    StreamReader
+  }
+
   alias Situ.Studio.Web.{DerivedStreams, SourceList}
 
   @doc "Loads the facts about all streams of the page's source, including derived streams."
   @spec load(Socket.t()) :: Socket.t()
   def load(socket) do
     streams =
-      case Source.call(socket.assigns.source, :streams, []) do
+      case StreamOverview.list_streams(socket.assigns.source) do
         {:ok, streams} -> streams ++ DerivedStreams.list_infos(socket.assigns)
         {:error, _} -> socket.assigns[:infos] || []
       end
@@ -30,7 +40,7 @@ defmodule Situ.Studio.Web.StreamFacts do
   end
 
   defp build_coverage(streams, source) do
-    case Source.call(source, :extent, []) do
+    case StreamReader.fetch_extent(source) do
       {:ok, extent} -> Coverage.find_partial_streams(streams, extent)
       {:error, _} -> %{}
     end
@@ -56,7 +66,7 @@ defmodule Situ.Studio.Web.StreamFacts do
   @doc "Returns the start time of the data, to which the page's relative times refer."
   @spec data_start(map()) :: Situ.Time.t()
   def data_start(assigns) do
-    case Source.call(assigns.source, :extent, []) do
+    case StreamReader.fetch_extent(assigns.source) do
       {:ok, extent} -> extent.from
       {:error, _} -> 0
     end

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Annotations.ProposalsTest do
 
   alias Situ.Message
   alias Situ.Studio.Annotations.Proposals
-  alias Situ.Studio.{History, Source}
+  alias Situ.Studio.{History, Recordings}
 
   # Returns a source in memory with messages at these times.
   defp source(rows) do
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Annotations.ProposalsTest do
       :ok = History.put(history, "S", message, 8)
     end
 
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
 
   defp spans({:ok, found}), do: for(p <- found, do: {p.lane, p.from, p.to, p.label})

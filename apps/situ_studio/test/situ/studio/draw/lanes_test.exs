@@ -6,7 +6,7 @@ defmodule Situ.Studio.Draw.LanesTest do
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking, only: [ask: 2, json: 1]
-  alias Situ.Studio.{DataSession, Source}
+  alias Situ.Studio.{DataSession, Recordings}
 
   @moduletag :tmp_dir
   @t0 1_767_225_600_000_000_000
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Draw.LanesTest do
     {:ok, %{"recordings" => recordings}} = Situ.JSON.decode(File.read!(told))
 
     for %{"name" => name, "length" => length, "streams" => streams} <- recordings do
-      {:ok, source} = Source.Store.open(Path.join(dir, name))
+      {:ok, source} = Recordings.Store.open(Path.join(dir, name))
       lanes = for s <- streams, s["kind"] in ["boolean", "state", "map"], do: s
 
       for n <- 1..@windows, window = window(n, length), stream <- lanes do

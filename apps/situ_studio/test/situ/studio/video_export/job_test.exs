@@ -3,7 +3,7 @@ defmodule Situ.Studio.VideoExport.JobTest do
   use ExUnit.Case, async: true
 
   alias Situ.{Image, Message}
-  alias Situ.Studio.{VideoExport, History, Source}
+  alias Situ.Studio.{VideoExport, History, Recordings}
   alias Situ.Studio.VideoExport.Job
 
   setup do
@@ -22,7 +22,7 @@ defmodule Situ.Studio.VideoExport.JobTest do
     end
 
     film = %VideoExport{pictures: "Camera", from: 0, to: 1_000_000_000}
-    %{id: id, film: film, source: {Source.History, history}}
+    %{id: id, film: film, source: Recordings.History.wrap(history)}
   end
 
   test "the file exists until the job is cancelled", %{id: id, film: film, source: source} do

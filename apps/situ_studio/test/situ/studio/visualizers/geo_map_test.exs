@@ -2,7 +2,7 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
   use ExUnit.Case, async: true
   doctest Situ.Studio.Tiles
   alias Situ.GeoPoint
-  alias Situ.Studio.{Asking, DataSession, History, Layout, Source, StreamInfo, Tiles}
+  alias Situ.Studio.{Asking, DataSession, History, Layout, StreamInfo, Tiles, Recordings}
 
   defp session(count) do
     history = History.new(live: false, seconds: 1_000_000)
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
       History.put(history, "gps", Asking.message(1_000_000_000 * (i + 1), data, i), 8)
     end
 
-    DataSession.new({Source.History, history})
+    DataSession.new(Recordings.History.wrap(history))
   end
 
   defp way(session, to) do

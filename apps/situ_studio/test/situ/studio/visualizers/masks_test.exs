@@ -4,7 +4,7 @@ defmodule Situ.Studio.Visualizers.MasksTest do
   doctest Situ.Studio.Visualizers.Masks
 
   alias Situ.{Image, Message, Rect}
-  alias Situ.Studio.{Draw, Frame, History, Source, StreamInfo, Visualizers}
+  alias Situ.Studio.{Draw, Frame, History, StreamInfo, Visualizers, Recordings}
 
   @mask Image.new_filled(2, 2, :gray8, [255])
   @rect %Rect{x: 1, y: 2, width: 3, height: 4, label: "cup", score: 0.5, id: 7}
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Visualizers.MasksTest do
     for {name, time, data} <- streams,
         do: History.put(history, name, %Message{data: data, originating_time: time}, 8)
 
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
 
   defp drawn(source, stream, time) do

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
   use ExUnit.Case, async: true
 
   alias Situ.{Mesh, Message, PointCloud, Pose}
-  alias Situ.Studio.{Draw, History, Source, Visualizers}
+  alias Situ.Studio.{Draw, History, Visualizers, Recordings}
   alias Situ.Studio.Visualizers.Space
 
   @mesh %Mesh{vertices: :binary.copy(<<0::96>>, 300), indices: :binary.copy(<<0::96>>, 100)}
@@ -52,7 +52,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     end
 
     at = fn time, last ->
-      {frame, last} = Draw.draw_instant({Source.History, history}, 1, spec(), time, last)
+      {frame, last} = Draw.draw_instant(Recordings.History.wrap(history), 1, spec(), time, last)
       {IO.iodata_to_binary(frame), last}
     end
 

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
-  alias Situ.Studio.Source
+  alias Situ.Studio.StreamOverview
 
   setup do: {:ok, session: session()}
 
@@ -63,11 +63,10 @@ defmodule Situ.Studio.Visualizers.StatesTest do
     end
 
     # The same holds for a line, where the messages next to the window show the rate.
-    {Source.History, history} = session.source
     put(session, "wave", for({t, _} <- rows, do: {t, 1.0}))
 
     {:ok, points, true} =
-      Source.History.series(history, "wave", 1_700_000_000, 1_800_000_000, 1_000)
+      StreamOverview.read_series(session.source, "wave", 1_700_000_000, 1_800_000_000, 1_000)
 
     assert length(points) == 32
   end

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
   alias Situ.Live.Test, as: Page
   import Situ.Studio.Asking, only: [ask: 2]
   import Situ.Test.Eventually
-  alias Situ.Studio.{DataSession, Source}
+  alias Situ.Studio.{DataSession, StreamReader, Recordings}
   alias Situ.Studio.Web.ClusterView
 
   @moduletag :tmp_dir
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
     assert Page.has_element?(page, "#nodes") and Page.has_element?(page, "#parts")
     # The studio watches the parts like its own pipelines.
     titles = fn ->
-      for {title, _} <- Source.Pipeline.list_running([{:all, &Situ.Cluster.pipelines/0}]),
+      for {title, _} <- Recordings.Pipeline.list_running([{:all, &Situ.Cluster.pipelines/0}]),
           do: title
     end
 
@@ -50,10 +50,10 @@ defmodule Situ.Studio.Web.ClusterViewTest do
     place = [{"Sum", deterministic: true}]
     {:ok, deployed} = Situ.Cluster.deploy(Sums, place: place, checkpoint: Situ.Time.ms(50))
     pipelines = [{:all, &Situ.Cluster.pipelines/0}]
-    titles = fn -> for {title, _} <- Source.Pipeline.list_running(pipelines), do: title end
+    titles = fn -> for {title, _} <- Recordings.Pipeline.list_running(pipelines), do: title end
     assert eventually(fn -> "Sums/Sum" in titles.() end)
     supervisor = start_supervised!(DynamicSupervisor)
-    {:ok, source} = Source.Pipeline.open(pipelines, "Sums/Sum", supervisor)
+    {:ok, source} = Recordings.Pipeline.open(pipelines, "Sums/Sum", supervisor)
     # A page shows the stream. It requests a window once and then only new messages, and receives
     # none.
     open = %{
@@ -80,7 +80,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
 
     # Nothing is known about the time in between.
     {:ok, messages, :all} =
-      Source.call(source, :messages, ["Sum.Scan", 0, 4_000_000_000_000_000_000, 1_000_000])
+      StreamReader.read_messages(source, "Sum.Scan", 0, 4_000_000_000_000_000_000, 1_000_000)
 
     assert Enum.count(messages, &is_struct(&1.data, Situ.Studio.Gap)) == 1
     Situ.Cluster.forget(deployed)

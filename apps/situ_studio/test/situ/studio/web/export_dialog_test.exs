@@ -4,7 +4,7 @@ defmodule Situ.Studio.Web.ExportDialogTest do
   import Situ.Test.Eventually
 
   alias Situ.Live.Test, as: Page
-  alias Situ.Studio.{Catalog, History, Link, Source}
+  alias Situ.Studio.{Catalog, History, Link, Recordings}
   alias Situ.Studio.Web.MainView
 
   @moduletag :tmp_dir
@@ -111,7 +111,7 @@ defmodule Situ.Studio.Web.ExportDialogTest do
     refute Page.has_element?(page, "#export-save")
     refute Page.render(page) =~ "as a recording (Ctrl"
     id = "memory-#{System.unique_integer([:positive])}"
-    sources = %{"one" => {Source.History, History.new(live: false)}}
+    sources = %{"one" => Recordings.History.wrap(History.new(live: false))}
     start_supervised!({Catalog, id: id, sources: sources, layouts: context.folder}, id: :memory)
     session = %{"studio" => id}
     page = Page.mount(MainView, path: "/s/one", params: %{"id" => ["one"]}, session: session)

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.MainViewTest do
   use ExUnit.Case, async: true
 
   alias Situ.Live.Test, as: Page
-  alias Situ.Studio.{Catalog, History, Layout, Layouts, Link, Source}
+  alias Situ.Studio.{Catalog, History, Layout, Layouts, Link, Recordings}
   alias Situ.Studio.Web.{HomeView, MainView}
 
   @moduletag :tmp_dir
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Web.MainViewTest do
       History.put(history, name, %Situ.Message{data: data, originating_time: 1_000}, 8)
     end
 
-    sources = %{"one" => {Source.History, history}}
+    sources = %{"one" => Recordings.History.wrap(history)}
     id = to_string(test)
     start_supervised!({Catalog, id: id, sources: sources, layouts: dir})
     %{history: history, studio: id}
@@ -299,7 +299,7 @@ defmodule Situ.Studio.Web.MainViewTest do
     start_supervised!(
       {Catalog,
        id: id,
-       sources: %{"one" => {Source.History, context.history}},
+       sources: %{"one" => Recordings.History.wrap(context.history)},
        layouts: dir,
        read_only: true},
       id: :read_only

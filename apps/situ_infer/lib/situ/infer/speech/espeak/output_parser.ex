@@ -1,9 +1,16 @@
 defmodule Situ.Infer.Speech.Espeak.OutputParser do
-  @moduledoc """
-  Parses the output of the program `situ_speak`: audio, and marks of sentences, words and phonemes. Pure.
+  @moduledoc false
+  # Parses the output of the program `situ_speak`: audio, and marks of sentences, words and
+  # phonemes. Pure.
+  #
+  # A frame consists of a tag, the size of the payload (32 bits, little endian), and the payload.
+  # The tags are listed in `native/situ_speak/src/main.rs`.
+  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.Infer.Speech.Mark
 
-  A frame consists of a tag, the size of the payload (32 bits, little endian), and the payload. The tags are listed in
-  `native/situ_speak/src/main.rs`.
+  @doc """
+  Returns the audio and the marks, or `:error` if the bytes are truncated or have a different
+  format.
 
       iex> bytes = <<"r", 4::little-32, 1000::little-32, "w", 12::little-32, 1::little-32, 3::little-32, 2::little-32,
       ...>   "a", 4::little-32, 0::32>>
@@ -11,10 +18,6 @@ defmodule Situ.Infer.Speech.Espeak.OutputParser do
       iex> {Situ.AudioBuffer.frame_count(sound), word.text, word.from, word.to}
       {2, "go", 1_000_000, 2_000_000}
   """
-  alias Situ.{AudioBuffer, AudioFormat}
-  alias Situ.Infer.Speech.Mark
-
-  @doc "Returns the audio and the marks, or `:error` if the bytes are truncated or have a different format."
   @spec parse(binary(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | :error
   def parse(<<"r", 4::little-32, rate::little-32, rest::binary>>, text)
       when rate in 1..1_000_000 do

@@ -1,13 +1,10 @@
 defmodule Situ.Infer.Speech.Hibari.Phonemes do
-  @moduledoc """
-  Converts English text to the phoneme symbols that Hibari was trained with.
-
-  espeak-ng transcribes the text in the International Phonetic Alphabet. Diphthongs and some other phonemes are then
-  replaced by single symbols, as in Kokoro's alphabet. Punctuation is kept because it affects the intonation.
-
-      iex> Situ.Infer.Speech.Hibari.Phonemes.translate_ipa("həlˈo^ʊ d^ʒˈɔ^ɪ")
-      "həlˈO ʤˈY"
-  """
+  @moduledoc false
+  # Converts English text to the phoneme symbols that Hibari was trained with.
+  #
+  # espeak-ng transcribes the text in the International Phonetic Alphabet. Diphthongs and some
+  # other phonemes are then replaced by single symbols, as in Kokoro's alphabet. Punctuation is
+  # kept because it affects the intonation.
   alias Situ.Error
   alias Situ.Infer.Speech.{Program, TextCheck}
 
@@ -81,7 +78,12 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   defp espeak_error(status),
     do: Error.new(:synthesis_failed, "espeak-ng exited with status #{status}")
 
-  @doc "Converts the phonetic alphabet written by `espeak-ng --ipa --tie=^` to Hibari's symbols."
+  @doc """
+  Converts the phonetic alphabet written by `espeak-ng --ipa --tie=^` to Hibari's symbols.
+
+      iex> Situ.Infer.Speech.Hibari.Phonemes.translate_ipa("həlˈo^ʊ d^ʒˈɔ^ɪ")
+      "həlˈO ʤˈY"
+  """
   @spec translate_ipa(String.t()) :: String.t()
   def translate_ipa(ipa) do
     Enum.reduce(@symbols, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)

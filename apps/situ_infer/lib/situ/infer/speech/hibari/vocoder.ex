@@ -1,13 +1,13 @@
 defmodule Situ.Infer.Speech.Hibari.Vocoder do
-  @moduledoc """
-  Converts the output of Hibari's network to audio. The output has 80 spectra per second. Each consists of a voiced part
-  (`lh`, `theta`: magnitude and phase relative to pulses at the pitch `f0`), noise (`ln`) and a part with independent
-  phases (`lr`, `phi`).
-
-  The short-time Fourier transform of the pulses and the inverse transform of the sum are convolutions with the same
-  waves. ONNX Runtime computes them in a graph that is built here, with windows of 1200 samples every 300 samples at
-  24 kHz. The noise is the same for the same text.
-  """
+  @moduledoc false
+  # Converts the output of Hibari's network to audio. The output has 80 spectra per second. Each
+  # consists of a voiced part (`lh`, `theta`: magnitude and phase relative to pulses at the pitch
+  # `f0`), noise (`ln`) and a part with independent phases (`lr`, `phi`).
+  #
+  # The short-time Fourier transform of the pulses and the inverse transform of the sum are
+  # convolutions with the same waves. ONNX Runtime computes them in a graph that is built here,
+  # with windows of 1200 samples every 300 samples at 24 kHz. The noise is the same for the same
+  # text.
   alias Situ.{Error, Tensor}
   alias Situ.Infer.{Model, Onnx}
 

@@ -1,11 +1,6 @@
 defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
-  @moduledoc """
-  Parses the output of PocketSphinx's programs: words with times, alternatives, keywords. Pure.
-
-      iex> line = "sound S 0 T -10 A -8 L -2 0 -3 0 <sil> 20 -5 0 ten(2) 60 -2 0 <sil> 90"
-      iex> Situ.Infer.Speech.PocketSphinx.OutputParser.parse_segments(line).words
-      [%{text: "ten", from: 200_000_000, to: 600_000_000}]
-  """
+  @moduledoc false
+  # Parses the output of PocketSphinx's programs: words with times, alternatives, keywords. Pure.
 
   # The programs report times in frames of 10 ms.
   @frame 10_000_000
@@ -34,7 +29,14 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
           alternatives: [%{text: String.t(), confidence: float()}]
         }
 
-  @doc "Parses a line of `-hypseg`: words with times (ns), the total acoustic score, and the number of frames."
+  @doc """
+  Parses a line of `-hypseg`: words with times (ns), the total acoustic score, and the number of
+  frames.
+
+      iex> line = "sound S 0 T -10 A -8 L -2 0 -3 0 <sil> 20 -5 0 ten(2) 60 -2 0 <sil> 90"
+      iex> Situ.Infer.Speech.PocketSphinx.OutputParser.parse_segments(line).words
+      [%{text: "ten", from: 200_000_000, to: 600_000_000}]
+  """
   @spec parse_segments(String.t()) :: hypothesis()
   def parse_segments(line) do
     case String.split(line) do

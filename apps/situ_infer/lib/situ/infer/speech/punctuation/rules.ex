@@ -1,14 +1,8 @@
 defmodule Situ.Infer.Speech.Punctuation.Rules do
-  @moduledoc """
-  Adds English punctuation with rules: capitalizes the first word, "I", days and months, and ends the text with a
-  question mark if it begins like a question, or else with a period. Existing punctuation at the end is kept.
-
-      iex> {:ok, rules} = Situ.Infer.Speech.Punctuation.Rules.load([])
-      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "what day is it on monday i wonder")
-      {:ok, "What day is it on Monday I wonder?"}
-      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "go forward ten meters")
-      {:ok, "Go forward ten meters."}
-  """
+  @moduledoc false
+  # Adds English punctuation with rules: capitalizes the first word, "I", days and months, and
+  # ends the text with a question mark if it begins like a question, or else with a period.
+  # Existing punctuation at the end is kept.
   @behaviour Situ.Infer.Speech.Punctuation
 
   @asking ~w(what who whom whose which when where why how is are am was were do does did can could will would shall
@@ -20,6 +14,15 @@ defmodule Situ.Infer.Speech.Punctuation.Rules do
   @spec load(keyword()) :: {:ok, :english} | {:error, Situ.Error.t()}
   def load(opts), do: with({:ok, _} <- Situ.Options.validate(opts, []), do: {:ok, :english})
 
+  @doc """
+  Adds punctuation to a text.
+
+      iex> {:ok, rules} = Situ.Infer.Speech.Punctuation.Rules.load([])
+      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "what day is it on monday i wonder")
+      {:ok, "What day is it on Monday I wonder?"}
+      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "go forward ten meters")
+      {:ok, "Go forward ten meters."}
+  """
   @impl true
   @spec punctuate(:english, String.t()) :: {:ok, String.t()}
   def punctuate(:english, text) do

@@ -1,16 +1,21 @@
 defmodule Situ.Infer.Speech.WakeWord.KeywordSpotter do
-  @moduledoc """
-  Detects a name by its sound with PocketSphinx's keyword search. Names of three or more syllables are more reliable.
-
-  Options: `phrase:` (English words of its dictionary) and `threshold:` (see `Situ.Infer.Speech.PocketSphinx`).
-  """
+  @moduledoc false
+  # Detects a name by its sound with PocketSphinx's keyword search (`Situ.Infer.wake_word/2`).
   @behaviour Situ.Infer.Speech.WakeWord
   alias Situ.Infer.Speech.PocketSphinx
 
   @schema [
-    phrase: [type: :string, required: true],
-    threshold: [type: {:range, 1.0e-50, 1.0}, default: 1.0e-20]
+    phrase: [type: :string, required: true, doc: false],
+    threshold: [
+      type: {:range, 1.0e-50, 1.0},
+      default: 1.0e-20,
+      doc: "The detection threshold, see `Situ.Infer.Speech.PocketSphinx`."
+    ]
   ]
+
+  @doc "Returns the schema of the options."
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
   @impl true
   @spec load(keyword()) :: {:ok, PocketSphinx.t()} | {:error, Situ.Error.t()}

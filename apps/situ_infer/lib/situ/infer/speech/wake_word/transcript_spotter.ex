@@ -1,6 +1,13 @@
 defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
+  @moduledoc false
+  # Detects a name among recognized words (`Situ.Infer.wake_word/2`).
+  #
+  # Spelling alone cannot distinguish a misspelled name from a similar word: "Komputer" differs
+  # from "computer" as much as "commuter" does, and "compute" differs less. Choose a name that is
+  # unlike other words.
+
   @schema [
-    phrase: [type: :string, required: true, doc: "The name, consisting of one or more words."],
+    phrase: [type: :string, required: true, doc: false],
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
@@ -14,27 +21,10 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
     ]
   ]
 
-  @moduledoc """
-  Detects a name among recognized words; about one wrong letter in six is tolerated.
+  @doc "Returns the schema of the options."
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
-      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("Hey, Komputer, stop!", ["computer"], 0.88)
-      {1, 3}
-      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("My company is open.", ["computer"], 0.88)
-      nil
-
-  Spelling alone cannot distinguish a misspelled name from a similar word: "Komputer" differs from "computer" as much as
-  "commuter" does, and "compute" differs less. Choose a name that is unlike other words. If similar words occur and the
-  recognizer is accurate, set `alike: 1`.
-
-      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("The commuter train was late.", ["computer"], 0.88)
-      {1, 5}
-      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("The commuter train was late.", ["computer"], 1)
-      nil
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-  """
   @behaviour Situ.Infer.Speech.WakeWord
   alias Situ.{AudioBuffer, Error}
   alias Situ.Infer.Speech.Utterance
@@ -82,7 +72,20 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
     end
   end
 
-  @doc "Returns the position of the name in a text, in words, and the number of words; `nil` if it is not found."
+  @doc """
+  Returns the position of the name in a text, in words, and the number of words; `nil` if it is
+  not found.
+
+      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("Hey, Komputer, stop!", ["computer"], 0.88)
+      {1, 3}
+      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("My company is open.", ["computer"], 0.88)
+      nil
+
+      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("The commuter train was late.", ["computer"], 0.88)
+      {1, 5}
+      iex> Situ.Infer.Speech.WakeWord.TranscriptSpotter.find_name("The commuter train was late.", ["computer"], 1)
+      nil
+  """
   @spec find_name(String.t(), [String.t()], number()) :: {non_neg_integer(), pos_integer()} | nil
   def find_name(text, name, alike) do
     words = Utterance.normalize_words(text)

@@ -1,8 +1,8 @@
 defmodule Situ.Space.DepthCamera.Library.Source do
-  @moduledoc """
-  The source of `Situ.Space.DepthCamera.Library`: views of depth and colour from the program `depth_port`. It requests
-  another image when one has been taken. If a pipeline is too slow, the program drops images and counts them.
-  """
+  @moduledoc false
+  # The source of `Situ.Space.DepthCamera.Library`: views of depth and colour from the program
+  # `depth_port`. It requests another image when one has been taken. If a pipeline is too slow,
+  # the program drops images and counts them.
   use Situ.Component,
     outputs: [depth: Situ.CameraView, color: Situ.CameraView],
     options: [

@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Edits do
-  @moduledoc """
-  Edits from a dataset's page. Each event either becomes an edit by the dataset's process, or opens a dialog that asks
-  for the values the edit needs.
-  """
+  @moduledoc false
+  # Edits from a dataset's page. Each event either becomes an edit by the dataset's process, or
+  # opens a dialog that asks for the values the edit needs.
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}
   alias Situ.Studio.{Catalog, Datasets, Export}

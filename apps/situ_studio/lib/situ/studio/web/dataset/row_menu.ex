@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Web.Dataset.RowMenu do
-  @moduledoc """
-  Builds the context menus of a dataset's tree, which open with a right click or a row's "⋯" button. A menu is a list
-  of `%{text:, event: | href: | copy:}`; `sure` is a confirmation question, and `-` is a separator.
-  """
+  @moduledoc false
+  # Builds the context menus of a dataset's tree, which open with a right click or a row's "⋯"
+  # button. A menu is a list of `%{text:, event: | href: | copy:}`; `sure` is a confirmation
+  # question, and `-` is a separator.
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.Web.Paths
 

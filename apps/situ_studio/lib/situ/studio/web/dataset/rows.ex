@@ -1,8 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Rows do
-  @moduledoc """
-  Builds the rows of a dataset's tree: the dataset, its sessions, their recordings, and the streams of the
-  recordings. A search filters the sessions.
-  """
+  @moduledoc false
+  # Builds the rows of a dataset's tree: the dataset, its sessions, their recordings, and the
+  # streams of the recordings. A search filters the sessions.
   alias Situ.Dataset
   alias Situ.Studio.Datasets.Summary
   alias Situ.Studio.StreamTotals

@@ -1,4 +1,4 @@
-defmodule Situ.Studio.Source.StoreTest do
+defmodule Situ.Studio.Recordings.StoreTest do
   # Draws recordings on disk: nothing that they do not contain, at any zoom level and on any
   # system.
   use ExUnit.Case, async: true
@@ -6,7 +6,7 @@ defmodule Situ.Studio.Source.StoreTest do
 
   import Situ.Studio.Asking, only: [ask: 2, json: 1]
   alias Situ.Store.Writer
-  alias Situ.Studio.{DataSession, Source, StreamInfo}
+  alias Situ.Studio.{DataSession, StreamInfo, StreamOverview, StreamReader, Recordings}
 
   @moduletag :tmp_dir
 
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Source.StoreTest do
   end
 
   defp source(path) do
-    {:ok, source} = Source.Store.open(path)
+    {:ok, source} = Recordings.Store.open(path)
     source
   end
 
@@ -116,31 +116,28 @@ defmodule Situ.Studio.Source.StoreTest do
 
   test "returns the nearest messages on both sides", %{tmp_dir: dir} do
     times = for i <- 1..2_500, do: i * 10 + rem(i * i, 7)
-    {_, handle} = source = source(record(dir, "near", :float, for(t <- times, do: {t, t * 1.0})))
+    source = source(record(dir, "near", :float, for(t <- times, do: {t, t * 1.0})))
 
     held = Situ.Studio.History.new(live: false)
 
     for {t, i} <- Enum.with_index(times),
         do: Situ.Studio.History.put(held, "S", Situ.Studio.Asking.message(t, t * 1.0, i), 8)
 
-    # A history returns them one by one.
-    refute function_exported?(Source.History, :neighbours, 5)
-
     same =
       forall {time, n} <-
                {:proper_types.integer(-5, 25_100), :proper_types.integer(1, 40)} do
         for side <- [:before, :after] do
           told = fn source ->
-            for m <- Source.list_neighbours(source, "S", side, time, n), do: m.originating_time
+            for m <- StreamReader.list_neighbours(source, "S", side, time, n),
+                do: m.originating_time
           end
 
-          assert told.(source) == told.({Source.History, held})
-          assert {:ok, _} = Source.Store.neighbours(handle, "S", side, time, n)
+          assert told.(source) == told.(Recordings.History.wrap(held))
         end
       end
 
     Situ.Test.Property.check_forall(same, numtests: 100)
-    assert Source.list_neighbours(source, "Nothing", :before, 5, 3) == []
+    assert StreamReader.list_neighbours(source, "Nothing", :before, 5, 3) == []
   end
 
   test "a gap that extends beyond the window is empty there, too", %{tmp_dir: dir} do
@@ -175,12 +172,11 @@ defmodule Situ.Studio.Source.StoreTest do
   test "reports a recording that was replaced under its name", %{tmp_dir: dir} do
     path = record(dir, "again", :boolean, [{0, true}, {1_000, false}])
     source = source(path)
-    assert {:ok, [%StreamInfo{count: 2}]} = Source.call(source, :streams, [])
+    assert {:ok, [%StreamInfo{count: 2}]} = StreamOverview.list_streams(source)
     File.rm_rf!(path)
     record(dir, "other", :float, for(i <- 0..9, do: {i, 1.0}))
     File.rename!(Path.join(dir, "other.0000"), path)
-    {_, handle} = source
-    :ets.delete(handle.cache, :look)
-    assert {:error, %{code: :replaced}} = Source.call(source, :extent, [])
+    :ets.delete(source.state.cache, :look)
+    assert {:error, %{code: :replaced}} = StreamReader.fetch_extent(source)
   end
 end

@@ -1,13 +1,13 @@
-defmodule Situ.Studio.Source.ComparedTest do
+defmodule Situ.Studio.Recordings.ComparisonTest do
   # Puts two sources on one time axis. Every request to the second one has shifted times.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
   alias Situ.{Interval, Message}
-  alias Situ.Studio.{History, Source}
-  alias Situ.Studio.Source.Compared
+  alias Situ.Studio.{History, Recordings, StreamOverview, StreamReader}
+  alias Situ.Studio.Recordings.Comparison
 
-  doctest Compared
+  doctest Comparison
 
   defp source(streams) do
     history = History.new(live: false, seconds: 3_600)
@@ -17,10 +17,8 @@ defmodule Situ.Studio.Source.ComparedTest do
       History.put(history, name, message, 8)
     end
 
-    {Source.History, history}
+    Recordings.History.wrap(history)
   end
-
-  defp ask(source, function, args), do: Source.call(source, function, args)
 
   property "the shifted second source equals the source alone at other times" do
     times = list({:proper_types.integer(0, 200), :proper_types.integer(-9, 9)})
@@ -29,7 +27,7 @@ defmodule Situ.Studio.Source.ComparedTest do
              {times, integer(), :proper_types.integer(-50, 250), :proper_types.integer(0, 99)} do
       rows = rows |> Map.new() |> Enum.sort()
       alone = source(%{"S" => [{-1, 0} | rows]})
-      beside = Compared.combine_sources(source(%{"T" => [{0, 1}]}), alone, offset)
+      beside = Comparison.combine_recordings(source(%{"T" => [{0, 1}]}), alone, offset)
       {from, to} = {a + offset, a + w + offset}
 
       shifted = fn {:ok, messages, more} ->
@@ -41,11 +39,11 @@ defmodule Situ.Studio.Source.ComparedTest do
         {for(m <- messages, do: {m.originating_time, m.creation_time, m.data}), more}
       end
 
-      {:ok, points, _} = ask(beside, :series, ["Compared.S", from, to, 1])
-      {:ok, own, _} = ask(alone, :series, ["S", a, a + w, 1])
+      {:ok, points, _} = StreamOverview.read_series(beside, "Compared.S", from, to, 1)
+      {:ok, own, _} = StreamOverview.read_series(alone, "S", a, a + w, 1)
 
-      shifted.(ask(beside, :messages, ["Compared.S", from, to, 50])) ==
-        plain.(ask(alone, :messages, ["S", a, a + w, 50])) and
+      shifted.(StreamReader.read_messages(beside, "Compared.S", from, to, 50)) ==
+        plain.(StreamReader.read_messages(alone, "S", a, a + w, 50)) and
         for(p <- points, do: put_elem(p, 0, elem(p, 0) - offset)) == own
     end
   end
@@ -61,8 +59,8 @@ defmodule Situ.Studio.Source.ComparedTest do
         ]
       })
 
-    beside = Compared.combine_sources(source(%{"T" => [{0, 1}]}), second, 100)
-    {:ok, messages, :all} = ask(beside, :messages, ["Compared.S", 0, 200, 9])
+    beside = Comparison.combine_recordings(source(%{"T" => [{0, 1}]}), second, 100)
+    {:ok, messages, :all} = StreamReader.read_messages(beside, "Compared.S", 0, 200, 9)
 
     assert Enum.map(messages, & &1.data) == [
              [%{start: 101, stop: 104, text: "a"}],
@@ -71,22 +69,22 @@ defmodule Situ.Studio.Source.ComparedTest do
              {Interval.closed(101, 102), "b"}
            ]
 
-    assert {:ok, %{from: 0, to: 108}} = ask(beside, :extent, [])
-    {:ok, infos} = ask(beside, :streams, [])
+    assert {:ok, %{from: 0, to: 108}} = StreamReader.fetch_extent(beside)
+    {:ok, infos} = StreamOverview.list_streams(beside)
     assert [%{name: "Compared.S", first: 105, last: 108}, %{name: "T", first: 0}] = infos
-    assert :none = ask(beside, :latest_at, ["Compared.None", 5])
+    assert :none = StreamReader.latest_at(beside, "Compared.None", 5)
   end
 
   test "hides a stream of the first source with a name of the second" do
     beside =
-      Compared.combine_sources(
+      Comparison.combine_recordings(
         source(%{"Compared.S" => [{1, :own}]}),
         source(%{"S" => [{2, :other}]}),
         0
       )
 
-    assert {:ok, %{data: :other}} = ask(beside, :latest_at, ["Compared.S", 9])
-    {:ok, infos} = ask(beside, :streams, [])
+    assert {:ok, %{data: :other}} = StreamReader.latest_at(beside, "Compared.S", 9)
+    {:ok, infos} = StreamOverview.list_streams(beside)
     assert Enum.map(infos, & &1.name) == ["Compared.S"]
   end
 end

@@ -1,4 +1,0 @@
-defmodule Situ.ImageOps.PixelsTest do
-  use ExUnit.Case, async: true
-  doctest Situ.ImageOps.Pixels
-end

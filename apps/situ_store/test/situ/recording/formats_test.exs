@@ -1,0 +1,4 @@
+defmodule Situ.Recording.FormatsTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Recording.Formats
+end
