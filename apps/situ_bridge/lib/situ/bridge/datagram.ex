@@ -1,19 +1,11 @@
 defmodule Situ.Bridge.Datagram do
-  @moduledoc """
-  Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
-
-  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
-  followed by a part of the payload. \\psi uses the same layout. Chunks may arrive in any order, twice, or not at all.
-  An incomplete set is abandoned and counted when a later set is complete, or when #{16} later sets have begun. With
-  `new(open: 1)`, any chunk of another set abandons the open set, as in \\psi's receiver.
-
-      iex> alias Situ.Bridge.Datagram
-      iex> [one, two] = Datagram.split_payload("hello", 7, 43)
-      iex> {nil, state} = Datagram.push(Datagram.new(), two)
-      iex> {payload, _} = Datagram.push(state, one)
-      iex> payload
-      "hello"
-  """
+  @moduledoc false
+  # Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
+  #
+  # A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
+  # followed by a part of the payload, as in \psi. Chunks may arrive in any order, twice, or not at all. An incomplete
+  # set is abandoned and counted when a later set is complete, or when 16 later sets have begun. With `new(open: 1)`,
+  # any chunk of another set abandons the open set, as in \psi's receiver.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @header 40
@@ -26,6 +18,13 @@ defmodule Situ.Bridge.Datagram do
   @doc """
   Splits the payload into chunks of at most `max` bytes. Raises `ArgumentError` if the payload needs more than 65,535
   chunks.
+
+      iex> alias Situ.Bridge.Datagram
+      iex> [one, two] = Datagram.split_payload("hello", 7, 43)
+      iex> {nil, state} = Datagram.push(Datagram.new(), two)
+      iex> {payload, _} = Datagram.push(state, one)
+      iex> payload
+      "hello"
   """
   @spec split_payload(binary(), integer(), pos_integer()) :: [binary()]
   def split_payload(payload, set, max \\ 0xFFFE) when max > @header do

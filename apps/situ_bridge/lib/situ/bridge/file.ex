@@ -1,4 +1,15 @@
 defmodule Situ.Bridge.File do
+  @moduledoc """
+  Writes streams to files that other programs read, and reads such files: JSON, JSON lines, CSV, MessagePack
+  (`Situ.Bridge.Format`).
+
+      Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
+      p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
+
+  Files are written and read in chunks, so they may be of any length. The end of a file is written when the stream
+  closes; if the writer is killed, the messages written so far can still be read. Named pipes work, too.
+  """
+
   alias Situ.Bridge.Format
   alias Situ.Error
 
@@ -18,25 +29,18 @@ defmodule Situ.Bridge.File do
     name: [type: :string, doc: "The component's name."]
   ]
 
-  @moduledoc """
-  Writes streams to files that other programs read, and reads such files: JSON, JSON lines, CSV, MessagePack
-  (`Situ.Bridge.Format`).
-
-      Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
-      p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
-
-  Files are written and read in chunks, so they may be of any length. The end of a file is written when the stream
-  closes; if the writer is killed, the messages written so far can still be read. Named pipes work, too.
-
-  ## Options of `write/3`
-
-  #{Situ.Options.docs(Keyword.delete(@write, :path))}
-  """
-  use Situ.Component, inputs: [in: :any], options: @write
+  use Situ.Component, inputs: [in: :any]
 
   @chunk_bytes 65_536
 
-  @doc "Writes a stream to a file; returns the stream."
+  @impl true
+  def options, do: @write
+
+  @doc """
+  Writes a stream to a file; returns the stream.
+
+  #{Situ.Options.docs(Keyword.delete(@write, :path))}
+  """
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)

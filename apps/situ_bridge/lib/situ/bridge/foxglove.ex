@@ -1,4 +1,22 @@
 defmodule Situ.Bridge.Foxglove do
+  @moduledoc """
+  Serves recordings to Foxglove and other programs that use its WebSocket protocol, even while they are being written.
+
+      {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
+      # In Foxglove: open a connection to ws://localhost:8765
+
+  Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
+  messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
+  immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
+  or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
+  subscribing and after each seek, a client first gets the message that is current at that position. If the recording
+  is still being written, clients also get its new messages.
+
+  A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
+  for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
+  server needs a separate port.
+  """
+
   @schema [
     port: [
       type: {:integer, 0, 65_535},
@@ -17,27 +35,7 @@ defmodule Situ.Bridge.Foxglove do
       doc: "The sites whose pages may connect. Pages that this machine serves may always connect."
     ]
   ]
-  @moduledoc """
-  Serves recordings to Foxglove and other programs that use its WebSocket protocol, even while they are being written.
 
-      {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
-      # In Foxglove: open a connection to ws://localhost:8765
-
-  Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
-  messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
-  immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
-  or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
-  subscribing and after each seek, a client first gets the message that is current at that position. If the recording
-  is still being written, clients also get its new messages.
-
-  A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
-  for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
-  server needs a separate port.
-
-  ## Options of `serve/2`
-
-  #{Situ.Options.docs(@schema)}
-  """
   # Foxglove closes a WebSocket if the server does not confirm the subprotocol. Yaws 2.1.1 (Debian
   # 12) reads the list of subprotocols but does not reply to it, and an application cannot add a
   # header to the handshake. Port 8765 is the default of the Foxglove app. The token of the studio
@@ -53,6 +51,8 @@ defmodule Situ.Bridge.Foxglove do
   @doc """
   Serves a recording to any number of clients until `stop/1`. Errors: the errors of `Situ.Store.open/2`,
   `:address_in_use`, `:bad_address`.
+
+  #{Situ.Options.docs(@schema)}
   """
   @spec serve(Path.t() | Situ.Store.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def serve(store, opts \\ [])

@@ -1,21 +1,4 @@
 defmodule Situ.Bridge.Mcap do
-  alias Situ.Bridge.Mcap.{Codec, Copy, ExtraFields, NativeError, TopicSizes, Writer}
-  alias Situ.Bridge.Native
-  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
-  alias Situ.{Error, Message}
-  alias Situ.Store.{StreamInfo, Undecoded}
-
-  @schema [
-            times: [
-              type: {:in, [:log, :publish, :header]},
-              default: :log,
-              doc:
-                "Originating times: when a message was recorded (`:log`; the index has these times), when it was " <>
-                  "sent (`:publish`), or the stamp of its ROS header (`:header`; the log time for messages without " <>
-                  "one). `:publish` and `:header` scan all messages of a stream on its first use."
-            ]
-          ] ++ Codec.reader_options()
-
   @moduledoc """
   Opens MCAP files (https://mcap.dev) as recordings with `Situ.Store.open("drive.mcap")`. They also work in the
   studio, in `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline
@@ -35,11 +18,27 @@ defmodule Situ.Bridge.Mcap do
   Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
   writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
   Zstandard. For attachments and metadata, see `list_attachments/1`, `read_attachment/2` and `Situ.Store.info/1`.
-
-  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  alias Situ.Bridge.Mcap.{Codec, Copy, ExtraFields, NativeError, TopicSizes, Writer}
+  alias Situ.Bridge.Native
+  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  @schema [
+            times: [
+              type: {:in, [:log, :publish, :header]},
+              default: :log,
+              doc:
+                "Originating times: when a message was recorded (`:log`; the index has these times), when it was " <>
+                  "sent (`:publish`), or the stamp of its ROS header (`:header`; the log time for messages without " <>
+                  "one). `:publish` and `:header` scan all messages of a stream on its first use."
+            ]
+          ] ++ Codec.reader_options()
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
+
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 

@@ -1,24 +1,24 @@
 defmodule Situ.Bridge.MessagePack do
-  @moduledoc """
-  Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md): terms made of
-  numbers, strings, booleans, `nil`, lists and maps.
+  @moduledoc false
+  # Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md).
+  #
+  # A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`, `false`) as
+  # strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1. Extensions are
+  # `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since 1970. The entries of a
+  # map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting, and
+  # creates no atoms.
+  import Situ.BinarySize, only: [pinned_size: 1]
+
+  @max_depth 512
+
+  @doc """
+  Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent.
 
       iex> alias Situ.Bridge.MessagePack
       iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()
       iex> MessagePack.decode(bytes)
       {:ok, %{"x" => [1, -2.5, nil, true]}, ""}
-
-  A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`, `false`)
-  as strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1. Extensions are
-  `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since 1970. The entries of
-  a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting,
-  and creates no atoms.
   """
-  import Situ.BinarySize, only: [pinned_size: 1]
-
-  @max_depth 512
-
-  @doc "Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent."
   @spec encode(term()) :: iodata()
   def encode(nil), do: <<0xC0>>
   def encode(false), do: <<0xC2>>

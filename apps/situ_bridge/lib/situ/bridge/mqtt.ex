@@ -1,4 +1,27 @@
 defmodule Situ.Bridge.Mqtt do
+  @moduledoc """
+  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
+  streams on topics.
+
+      Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
+      levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
+      raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
+
+  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
+  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
+  messages of all matching topics arrive as one stream.
+
+  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
+  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
+  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
+  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
+  ends.
+
+  Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
+  certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
+  logged, and the client tries again.
+  """
+
   alias Situ.Bridge.Mqtt.{Sink, Subscription}
   alias Situ.Bridge.Net
 
@@ -29,28 +52,6 @@ defmodule Situ.Bridge.Mqtt do
     ]
   ]
   @schema @options ++ Net.ClientSocket.tls_options()
-  @moduledoc """
-  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
-  streams on topics.
-
-      Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
-      levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
-      raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
-
-  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
-  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
-  messages of all matching topics arrive as one stream.
-
-  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
-  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
-  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
-  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
-  ends.
-
-  Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
-  certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
-  logged, and the client tries again.
-  """
 
   @doc """
   Publishes a stream on a topic; returns the stream.

@@ -1,4 +1,18 @@
 defmodule Situ.Bridge.Protobuf.File do
+  @moduledoc """
+  Reads and writes files of Protobuf messages, each preceded by its length as a varint. `writeDelimitedTo` of Java and
+  C++ and `google.protobuf.proto.serialize_length_prefixed` of Python write the same format.
+
+      definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
+      Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
+      levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
+
+  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
+  with the originating time, which a writer fills in. A writer also saves the definition next to the file as
+  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. If a file is
+  truncated, its complete messages are returned before the error `:bad_file` is raised.
+  """
+
   alias Situ.Bridge.Foxglove.{Messages, StandardTypes}
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Protobuf.{Delimited, Descriptor, Stamp}
@@ -41,28 +55,20 @@ defmodule Situ.Bridge.Protobuf.File do
                 "`:situ` converts Foxglove's messages to Situ's types; `:maps` returns all messages as maps."
             ]
           ]
-  @moduledoc """
-  Reads and writes files of Protobuf messages, each preceded by its length as a varint. `writeDelimitedTo` of Java and
-  C++ and `google.protobuf.proto.serialize_length_prefixed` of Python write the same format.
 
-      definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
-      Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
-      levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
-
-  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
-  with the originating time, which a writer fills in. A writer also saves the definition next to the file as
-  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. If a file is
-  truncated, its complete messages are returned before the error `:bad_file` is raised.
-  ## Options of `write/3`
-
-  #{Situ.Options.docs(Keyword.delete(@write, :path))}
-  """
-  use Situ.Component, inputs: [in: :any], options: @write
+  use Situ.Component, inputs: [in: :any]
 
   @chunk 65_536
   @progress_interval 1_000
 
-  @doc "Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`."
+  @impl true
+  def options, do: @write
+
+  @doc """
+  Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`.
+
+  #{Situ.Options.docs(Keyword.delete(@write, :path))}
+  """
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)

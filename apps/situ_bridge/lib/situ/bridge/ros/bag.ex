@@ -1,13 +1,4 @@
 defmodule Situ.Bridge.Ros.Bag do
-  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
-  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
-  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
-  alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
-  alias Situ.{Error, Message}
-  alias Situ.Store.{StreamInfo, Undecoded}
-
-  @schema Codec.time_options() ++ Codec.reader_options()
-
   @moduledoc """
   Opens ROS 1 bags (version 2.0) as recordings with `Situ.Store.open("drive.bag")`. They also work in the studio, in
   `bin/situ store` and for replay. `create/3` and `write/4` write a bag while a pipeline runs, and `export/3` writes
@@ -25,11 +16,19 @@ defmodule Situ.Bridge.Ros.Bag do
 
   Depth images that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) become `Situ.DepthImage`, with
   the unit given in the bag. The camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.
-
-  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
+  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
+  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
+  alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  @schema Codec.time_options() ++ Codec.reader_options()
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
+
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 

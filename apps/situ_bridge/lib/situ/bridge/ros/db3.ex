@@ -1,7 +1,4 @@
 defmodule Situ.Bridge.Ros.Db3 do
-  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
-
-  @schema Codec.time_options() ++ Codec.reader_options()
   @moduledoc """
   Opens ROS 2 bags in SQLite (`.db3`) as recordings with `Situ.Store.open("drive/drive_0.db3")`. They also work in the
   studio, in `bin/situ store` and for replay.
@@ -10,11 +7,14 @@ defmodule Situ.Bridge.Ros.Db3 do
   Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each
   file of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the
   file in a separate process. The file is never modified.
-
-  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
+
+  @schema Codec.time_options() ++ Codec.reader_options()
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
+
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
   alias Situ.Bridge.Ros.Db3.Sqlite

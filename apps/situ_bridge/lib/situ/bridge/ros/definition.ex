@@ -1,18 +1,10 @@
 defmodule Situ.Bridge.Ros.Definition do
-  @moduledoc """
-  Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists of a
-  type and, separated by lines of `=`, the types that it contains.
-
-      iex> alias Situ.Bridge.Ros.Definition
-      iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
-      iex> definition.types["geometry_msgs/Point"].fields
-      [{"x", :float64}, {"y", :float64}, {"z", :float64}]
-      iex> Definition.md5(definition)
-      "4a842b65f413084dc2b10fb484ea7f17"
-
-  The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
-  name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2 inserts.
-  """
+  @moduledoc false
+  # Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists of a
+  # type and, separated by lines of `=`, the types that it contains.
+  #
+  # The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
+  # name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2 inserts.
   alias Situ.Bridge.Ros.Library
 
   @enforce_keys [:name, :types, :text]
@@ -55,6 +47,13 @@ defmodule Situ.Bridge.Ros.Definition do
   Parses a definition. Types that the text does not define are looked up in the standard types of ROS 1 or ROS 2
   (`Situ.Bridge.Ros.Library`). Errors are sentences that describe a malformed line, an unknown type, or a type that
   contains itself.
+
+      iex> alias Situ.Bridge.Ros.Definition
+      iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
+      iex> definition.types["geometry_msgs/Point"].fields
+      [{"x", :float64}, {"y", :float64}, {"z", :float64}]
+      iex> Definition.md5(definition)
+      "4a842b65f413084dc2b10fb484ea7f17"
   """
   @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text, dialect \\ :ros1) do

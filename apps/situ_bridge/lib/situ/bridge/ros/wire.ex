@@ -1,19 +1,11 @@
 defmodule Situ.Bridge.Ros.Wire do
-  @moduledoc """
-  Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
-
-      iex> alias Situ.Bridge.Ros.{Definition, Wire}
-      iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
-      iex> {:ok, bytes} = Wire.encode(definition, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}, :ros1)
-      iex> Wire.decode(definition, bytes, :ros1)
-      {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
-
-  A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN and
-  infinities are atoms. When a message is encoded, missing fields are zero, empty or false.
-
-  Decoding never allocates more than the input justifies. CDR is read in both byte orders and written in little-endian
-  order, with the alignment of version 1, which ROS 2 uses.
-  """
+  @moduledoc false
+  # Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
+  #
+  # A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN and
+  # infinities are atoms. When a message is encoded, missing fields are zero, empty or false. Decoding never allocates
+  # more than the input justifies. CDR is read in both byte orders and written in little-endian order, with the alignment
+  # of version 1, which ROS 2 uses.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
@@ -162,7 +154,15 @@ defmodule Situ.Bridge.Ros.Wire do
     end
   end
 
-  @doc "Encodes a message. Returns a sentence with the value that does not fit if that fails."
+  @doc """
+  Encodes a message. Returns a sentence with the value that does not fit if that fails.
+
+      iex> alias Situ.Bridge.Ros.{Definition, Wire}
+      iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
+      iex> {:ok, bytes} = Wire.encode(definition, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}, :ros1)
+      iex> Wire.decode(definition, bytes, :ros1)
+      {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
+  """
   @spec encode(Definition.t(), map(), encoding()) :: {:ok, binary()} | {:error, String.t()}
   def encode(definition, message, encoding) do
     {parts, _at} = put_message(definition.name, definition.types, message, {[], 0}, encoding)
