@@ -3,9 +3,9 @@ defmodule Situ.Bridge.Datagram do
   # Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
   #
   # A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
-  # followed by a part of the payload, as in \psi. Chunks may arrive in any order, twice, or not at all. An incomplete
-  # set is abandoned and counted when a later set is complete, or when 16 later sets have begun. With `new(open: 1)`,
-  # any chunk of another set abandons the open set, as in \psi's receiver.
+  # followed by a part of the payload, as in \psi. Chunks may arrive in any order, twice, or not at all. An
+  # incomplete set is abandoned and counted when a later set is complete, or when 16 later sets have begun. With
+  # `new(open: 1)`, any chunk of another set abandons the open set, as in \psi's receiver.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @header 40

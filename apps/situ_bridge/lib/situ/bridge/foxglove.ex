@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Foxglove do
       # In Foxglove: open a connection to ws://localhost:8765
 
   Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
-  messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
+  messages (the table in `Situ.Bridge.Ros`), all other types as JSON. Each client has its own playback, which starts
   immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
   or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
   subscribing and after each seek, a client first gets the message that is current at that position. If the recording
@@ -15,6 +15,26 @@ defmodule Situ.Bridge.Foxglove do
   A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
   for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
   server needs a separate port.
+
+  ## Foxglove's messages
+
+  MCAP files (`Situ.Bridge.Mcap`) and files of Protobuf messages (`Situ.Bridge.Protobuf.File`) may contain Foxglove's
+  own messages, which become Situ's types. Messages without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) become
+  maps (`Situ.Bridge.Protobuf`).
+
+  | Foxglove | Situ |
+  |---|---|
+  | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
+  | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
+  | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
+  | `Pose`, `PoseInFrame` | `Situ.Pose` |
+  | `Point3`, `Vector3` | `Situ.Point3` |
+  | `CameraCalibration` | `Situ.CameraIntrinsics` |
+  | `LocationFix` | `Situ.GeoPoint` |
+  | `JointStates` | `Situ.JointState` |
+  | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
+  | `Log` | export only, from strings |
   """
 
   @schema [

@@ -12,8 +12,8 @@ defmodule Situ.Bridge.Mcap do
 
   Each topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON.
   Messages in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove
-  become Situ's types (`Situ.Bridge.Ros.StandardTypes`, `Situ.Bridge.Foxglove.StandardTypes`), and other messages
-  become maps. If two messages of a topic have the same time, the second one is moved by a nanosecond.
+  become Situ's types (the tables in `Situ.Bridge.Ros` and `Situ.Bridge.Foxglove`), and other messages become maps. If
+  two messages of a topic have the same time, the second one is moved by a nanosecond.
 
   Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
   writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or

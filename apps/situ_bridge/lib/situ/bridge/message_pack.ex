@@ -2,11 +2,11 @@ defmodule Situ.Bridge.MessagePack do
   @moduledoc false
   # Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md).
   #
-  # A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`, `false`) as
-  # strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1. Extensions are
-  # `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since 1970. The entries of a
-  # map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting, and
-  # creates no atoms.
+  # A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`,
+  # `false`) as strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1.
+  # Extensions are `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since
+  # 1970. The entries of a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and
+  # 512 levels of nesting, and creates no atoms.
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @max_depth 512

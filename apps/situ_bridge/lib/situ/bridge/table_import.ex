@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.TableImport do
   @moduledoc false
-  # Imports files of one stream each (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording: a new
-  # store with one stream per file. The store gets its name only when it is complete; if an error occurs, nothing of it is
-  # left on disk.
+  # Imports files of one stream each (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording:
+  # a new store with one stream per file. The store gets its name only when it is complete; if an error occurs,
+  # nothing of it is left on disk.
   alias Situ.Bridge
   alias Situ.{Error, Message}
   alias Situ.Store.{Draft, Writer}

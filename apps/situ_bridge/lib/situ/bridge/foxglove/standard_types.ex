@@ -1,22 +1,7 @@
 defmodule Situ.Bridge.Foxglove.StandardTypes do
   @moduledoc false
-  # Converts between Foxglove's messages and Situ's types. Timestamps are written from originating
-  # times. Messages without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) stay maps; see
-  # `Situ.Bridge.Protobuf`.
-  #
-  # | Foxglove | Situ |
-  # |---|---|
-  # | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
-  # | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
-  # | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
-  # | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
-  # | `Pose`, `PoseInFrame` | `Situ.Pose` |
-  # | `Point3`, `Vector3` | `Situ.Point3` |
-  # | `CameraCalibration` | `Situ.CameraIntrinsics` |
-  # | `LocationFix` | `Situ.GeoPoint` |
-  # | `JointStates` | `Situ.JointState` |
-  # | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
-  # | `Log` | export only, from strings |
+  # Converts between Foxglove's messages and Situ's types. The documentation of `Situ.Bridge.Foxglove` lists the
+  # types. Timestamps are written from originating times.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Format.SafeConversion
   alias Situ.Bridge.Ros.{CameraInfo, Pixels, Sensors}

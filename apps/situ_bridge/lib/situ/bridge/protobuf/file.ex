@@ -7,10 +7,10 @@ defmodule Situ.Bridge.Protobuf.File do
       Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
       levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
 
-  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
-  with the originating time, which a writer fills in. A writer also saves the definition next to the file as
-  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. If a file is
-  truncated, its complete messages are returned before the error `:bad_file` is raised.
+  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types (`Situ.Bridge.Foxglove`). The
+  option `time:` names the field with the originating time, which a writer fills in. A writer also saves the
+  definition next to the file as `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may
+  have any length. If a file is truncated, its complete messages are returned before the error `:bad_file` is raised.
   """
 
   alias Situ.Bridge.Foxglove.{Messages, StandardTypes}

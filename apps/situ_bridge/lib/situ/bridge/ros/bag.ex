@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Ros.Bag do
       Situ.Bridge.Ros.Bag.write(images, drive, "/camera/image_raw")
 
   Each topic is a stream. Messages are decoded with the definition in the bag, and standard types become Situ's types
-  (`Situ.Bridge.Ros.StandardTypes`). Messages of a topic with the same time are placed one nanosecond apart. Bags
+  (the table in `Situ.Bridge.Ros`). Messages of a topic with the same time are placed one nanosecond apart. Bags
   without an index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4;
   bzip2 chunks are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is
   given.

@@ -3,13 +3,20 @@ defmodule Situ.Bridge.Ros.Db3 do
   Opens ROS 2 bags in SQLite (`.db3`) as recordings with `Situ.Store.open("drive/drive_0.db3")`. They also work in the
   studio, in `bin/situ store` and for replay.
 
+      {:ok, store} = Situ.Store.open("drive/drive_0.db3", reader_opts: [times: :header])
+      {:ok, messages} = Situ.Store.read(store, "/imu")
+
   Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
-  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each
+  Iron, or with ROS's standard definitions. Standard types become Situ's types (the table in `Situ.Bridge.Ros`). Each
   file of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the
   file in a separate process. The file is never modified.
   """
 
   alias Situ.Bridge.Mcap.{Codec, ExtraFields}
+  alias Situ.Bridge.Ros.Db3.Sqlite
+  alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
+  alias Situ.Message
+  alias Situ.Store.{StreamInfo, Undecoded}
 
   @schema Codec.time_options() ++ Codec.reader_options()
 
@@ -17,10 +24,6 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
-  alias Situ.Bridge.Ros.Db3.Sqlite
-  alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
-  alias Situ.Message
-  alias Situ.Store.{StreamInfo, Undecoded}
 
   # Stands in for a message that another program deleted after the file was opened.
   @deleted_message %Undecoded{

@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Ros.Definition do
   @moduledoc false
-  # Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists of a
-  # type and, separated by lines of `=`, the types that it contains.
+  # Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists
+  # of a type and, separated by lines of `=`, the types that it contains.
   #
-  # The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
-  # name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2 inserts.
+  # The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`),
+  # `{:message, name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2
+  # inserts.
   alias Situ.Bridge.Ros.Library
 
   @enforce_keys [:name, :types, :text]

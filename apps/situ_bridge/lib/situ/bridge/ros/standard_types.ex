@@ -1,25 +1,6 @@
 defmodule Situ.Bridge.Ros.StandardTypes do
   @moduledoc false
-  # Converts between ROS messages and Situ's types. The stamp of a message's header becomes its
-  # time. Other messages stay maps. With `messages: :maps`, a reader returns all messages as maps,
-  # including covariances and frames of reference.
-  #
-  # | ROS | Situ |
-  # |---|---|
-  # | `sensor_msgs/Image` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimeters |
-  # | `sensor_msgs/CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
-  # | `sensor_msgs/PointCloud2` (x, y, z, rgb and intensity) | `Situ.PointCloud` |
-  # | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
-  # | `sensor_msgs/Imu` | `Situ.ImuReading` |
-  # | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; a map without a fix |
-  # | `sensor_msgs/JointState` | `Situ.JointState` |
-  # | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, marked as static on `/tf_static` |
-  # | `geometry_msgs/TransformStamped` | `Situ.Transform` |
-  # | `geometry_msgs/Pose`, `PoseStamped` | `Situ.Pose` |
-  # | `audio_common_msgs/AudioData` | written from `Situ.AudioBuffer`; read as a map, because it has no format |
-  # | `geometry_msgs/Point`, `Point32`, `Vector3` | `Situ.Point3` |
-  # | `rosgraph_msgs/Clock` | the simulated time, an integer |
-  # | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
+  # Converts between ROS messages and Situ's types. The documentation of `Situ.Bridge.Ros` lists the types.
   alias Situ.Bridge.Format.SafeConversion
   alias Situ.Bridge.Ros.{PointCloud2, CameraInfo, Pixels, Sensors}
 

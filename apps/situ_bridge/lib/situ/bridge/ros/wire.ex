@@ -2,10 +2,10 @@ defmodule Situ.Bridge.Ros.Wire do
   @moduledoc false
   # Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
   #
-  # A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN and
-  # infinities are atoms. When a message is encoded, missing fields are zero, empty or false. Decoding never allocates
-  # more than the input justifies. CDR is read in both byte orders and written in little-endian order, with the alignment
-  # of version 1, which ROS 2 uses.
+  # A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN
+  # and infinities are atoms. When a message is encoded, missing fields are zero, empty or false. Decoding never
+  # allocates more than the input justifies. CDR is read in both byte orders and written in little-endian order,
+  # with the alignment of version 1, which ROS 2 uses.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
