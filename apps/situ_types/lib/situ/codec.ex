@@ -8,6 +8,21 @@ defmodule Situ.Codec do
 
   `decode/1` receives untrusted bytes. It must check every length, return `{:error, reason}` instead of raising, and
   never create atoms from its input.
+
+      defmodule Weight do
+        @behaviour Situ.Codec
+        defstruct [:grams]
+
+        @impl true
+        def codec_name, do: "example.weight"
+
+        @impl true
+        def encode(weight), do: <<weight.grams::64>>
+
+        @impl true
+        def decode(<<grams::64>>), do: {:ok, %Weight{grams: grams}}
+        def decode(_bytes), do: {:error, :bad_weight}
+      end
   """
 
   @typedoc "A summary of consecutive samples: start time, minimum, maximum, last value and sample count."
@@ -33,8 +48,13 @@ defmodule Situ.Codec do
   @optional_callbacks points: 2
 
   @doc """
-  Returns whether `module` implements this behaviour. Loads the module only if a loaded application lists it, so a name
-  from a file or a network cannot load other code.
+  Returns whether `module` implements this behaviour. Only modules that are loaded or that a loaded application lists
+  are found, because names may come from files.
+
+      iex> Situ.Codec.implemented_by?(Situ.Image)
+      true
+      iex> Situ.Codec.implemented_by?(Situ.Point3)
+      false
   """
   @spec implemented_by?(module()) :: boolean()
   def implemented_by?(module) when is_atom(module) do

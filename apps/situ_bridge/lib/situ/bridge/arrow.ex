@@ -1,8 +1,4 @@
 defmodule Situ.Bridge.Arrow do
-  alias Situ.Bridge.Columnar.TableOptions
-  @export TableOptions.export_options("batch")
-  @read TableOptions.read_options()
-
   @moduledoc """
   Writes recordings as Arrow files (IPC, also called Feather), which Polars, pandas and DuckDB can memory-map, and
   reads such files as streams.
@@ -16,19 +12,22 @@ defmodule Situ.Bridge.Arrow do
   them; buffers may be compressed with LZ4 or zstd. Columns of other types (unions, list views, run-end encoded
   columns, intervals, dictionaries of lists or structs) are skipped with a warning that names them. Requesting such a
   column, or reading a file that has no others, is an error.
-
-  ## Options of `export/3`
-
-  #{Situ.Options.docs(@export)}
   """
+
   alias Situ.Bridge.Arrow.{File, Writer}
   alias Situ.Bridge.Columnar
+  alias Situ.Bridge.Columnar.TableOptions
   alias Situ.{Error, Store}
+
+  @export TableOptions.export_options("batch")
+  @read TableOptions.read_options()
 
   @doc """
   Writes streams of a recording into a folder, one file per stream, and returns `{:ok, %{name => rows}}`. Streams
   without messages, and streams of images, audio and other types with a codec, are skipped. Errors: `:not_writable`,
   `:io`, `:disk_full`.
+
+  #{Situ.Options.docs(@export)}
   """
   @spec export(Store.t(), Path.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}

@@ -17,12 +17,12 @@ defmodule Situ.Bridge.Columnar do
   @spec export_streams(module(), Store.t(), Path.t(), extension :: String.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
   def export_streams(writer, store, folder, extension, opts) do
-    {wanted, opts} = Keyword.pop(opts, :streams)
+    {selection, opts} = Keyword.pop(opts, :streams)
 
     names =
       for info <- Store.streams(store),
           info.count > 0,
-          wanted == nil or info.name in wanted,
+          selection == nil or info.name in selection,
           tabular_stream?(store, info),
           do: info.name
 
@@ -57,11 +57,11 @@ defmodule Situ.Bridge.Columnar do
   @spec write_stream(module(), Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write_stream(writer, store, name, path, opts) do
-    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {read_opts, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
 
     # A live recording may receive messages of another kind during the export, so the export ends at the current end.
-    parts = Store.columns(store, name, Keyword.put_new(reading, :to, last_time(store, name)))
+    parts = Store.columns(store, name, Keyword.put_new(read_opts, :to, last_time(store, name)))
     write_parts(writer, parts, path, opts, progress)
   rescue
     error in Error -> {:error, error}
@@ -84,19 +84,19 @@ defmodule Situ.Bridge.Columnar do
   @spec write_joined(module(), Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write_joined(writer, store, path, opts) do
-    {joining, opts} = Keyword.split(opts, Keyword.keys(Join.join_options()))
-    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {join_opts, opts} = Keyword.split(opts, Keyword.keys(Join.join_options()))
+    {read_opts, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
-    on = joining[:on]
-    reading = Keyword.put_new(reading, :to, last_time(store, on))
+    on = join_opts[:on]
+    read_opts = Keyword.put_new(read_opts, :to, last_time(store, on))
 
     parts =
       Join.stream_parts(
         store,
         on,
-        other_streams(store, on, joining[:streams]),
-        joining,
-        reading
+        other_streams(store, on, join_opts[:streams]),
+        join_opts,
+        read_opts
       )
 
     write_parts(writer, parts, path, opts, progress)
@@ -153,29 +153,30 @@ defmodule Situ.Bridge.Columnar do
 
   # Returns row groups: the values of each column, and the number of rows. Parts that are already columns of numbers
   # are passed on directly; other messages are collected until they fill a group.
-  defp row_groups(parts, columns, most) do
+  defp row_groups(parts, columns, max) do
     parts
     |> Stream.concat([:end])
     |> Stream.transform({[], 0}, fn
-      :end, {held, _} ->
-        {held |> concat_held() |> message_group(columns), {[], 0}}
+      :end, {buffer, _} ->
+        {buffer |> concat_buffer() |> message_group(columns), {[], 0}}
 
-      %Columns{} = part, {held, _} ->
-        {message_group(concat_held(held), columns) ++ number_groups(part, columns, most), {[], 0}}
+      %Columns{} = part, {buffer, _} ->
+        {message_group(concat_buffer(buffer), columns) ++ number_groups(part, columns, max),
+         {[], 0}}
 
-      messages, {held, n} ->
-        hold_messages([messages | held], n + length(messages), columns, most)
+      messages, {buffer, n} ->
+        buffer_messages([messages | buffer], n + length(messages), columns, max)
     end)
   end
 
-  defp concat_held(held), do: held |> Enum.reverse() |> Enum.concat()
+  defp concat_buffer(buffer), do: buffer |> Enum.reverse() |> Enum.concat()
 
-  defp hold_messages(held, n, _columns, most) when n < most, do: {[], {held, n}}
+  defp buffer_messages(buffer, n, _columns, max) when n < max, do: {[], {buffer, n}}
 
-  defp hold_messages(held, n, columns, most) do
-    {full, rest} = held |> concat_held() |> Enum.split(n - rem(n, most))
-    groups = full |> Enum.chunk_every(most) |> Enum.flat_map(&message_group(&1, columns))
-    {groups, {[rest], rem(n, most)}}
+  defp buffer_messages(buffer, n, columns, max) do
+    {full, rest} = buffer |> concat_buffer() |> Enum.split(n - rem(n, max))
+    groups = full |> Enum.chunk_every(max) |> Enum.flat_map(&message_group(&1, columns))
+    {groups, {[rest], rem(n, max)}}
   end
 
   defp message_group([], _columns), do: []
@@ -183,16 +184,16 @@ defmodule Situ.Bridge.Columnar do
   defp message_group(messages, columns),
     do: [{column_values(messages, columns), length(messages)}]
 
-  defp number_groups(%{kind: kind} = part, [%{name: "value", kind: kind}], most) do
-    for columns <- Columns.split(part, most) do
+  defp number_groups(%{kind: kind} = part, [%{name: "value", kind: kind}], max) do
+    for columns <- Columns.split(part, max) do
       bytes = [columns.times, columns.creation_times, columns.values]
       {for(bytes <- bytes, do: {:bytes, bytes, columns.count}), columns.count}
     end
   end
 
   # The kind of the part's numbers differs from the kind of the column.
-  defp number_groups(part, columns, most) do
-    for part <- Columns.split(part, most) do
+  defp number_groups(part, columns, max) do
+    for part <- Columns.split(part, max) do
       creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
       {times, values} = part |> Columns.to_pairs() |> Enum.unzip()
       rows = Enum.zip_with(Enum.map(values, &Rows.row_values(&1, columns)), & &1)
@@ -233,27 +234,27 @@ defmodule Situ.Bridge.Columnar do
   def stream_messages(reader, path, opts) do
     table = reader.open(path) |> Error.unwrap!()
     time = fetch_time_column(table, opts[:time])
-    wanted = wanted_columns(table, opts[:columns], time)
+    selected = wanted_columns(table, opts[:columns], time)
     notice = opts[:notice] || fn sentence -> Logger.warning(sentence) end
 
     if opts[:columns] == nil and table.left_out != [],
       do: notice.("#{path}: skipped the columns #{list_left_out(table)}")
 
     table.groups
-    |> Stream.flat_map(&reader.stream_rows(table, &1, [time | wanted]))
+    |> Stream.flat_map(&reader.stream_rows(table, &1, [time | selected]))
     |> Stream.transform(
       fn -> {nil, 0} end,
-      &take_row(&1, &2, wanted),
+      &take_row(&1, &2, selected),
       &report_rows(&1, path, notice),
       fn _state -> :ok end
     )
   end
 
-  defp take_row([time | values], {last, left_out}, wanted)
+  defp take_row([time | values], {last, left_out}, selected)
        when is_integer(time) and (last == nil or time > last),
-       do: {[{time, row_value(wanted, values)}], {time, left_out}}
+       do: {[{time, row_value(selected, values)}], {time, left_out}}
 
-  defp take_row(_row, {last, left_out}, _wanted), do: {[], {last, left_out + 1}}
+  defp take_row(_row, {last, left_out}, _selected), do: {[], {last, left_out + 1}}
 
   defp report_rows({_last, left_out} = state, path, notice) do
     why = "they have no time, or it is not later than the time of the previous row"
@@ -266,10 +267,10 @@ defmodule Situ.Bridge.Columnar do
 
   @spec fetch_time_column(Reader.t(), String.t() | nil) :: Reader.column()
   defp fetch_time_column(table, nil) do
-    found = Enum.find(["originating_time" | table.times], &find_column(table, &1))
+    name = Enum.find(["originating_time" | table.times], &find_column(table, &1))
 
-    if found,
-      do: find_column(table, found),
+    if name,
+      do: find_column(table, name),
       else: raise(no_column_error(table, "times", "name one with `time:`"))
   end
 
@@ -298,12 +299,12 @@ defmodule Situ.Bridge.Columnar do
 
   # All columns except the times. A file whose other columns are all unreadable is an error.
   defp wanted_columns(table, nil, time) do
-    wanted =
+    selected =
       Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
 
-    if wanted == [] and table.left_out != [],
+    if selected == [] and table.left_out != [],
       do: raise(no_column_error(table, "values that can be read", nil)),
-      else: wanted
+      else: selected
   end
 
   defp wanted_columns(table, names, _time), do: Enum.map(names, &fetch_column(table, &1))

@@ -1,11 +1,23 @@
 defmodule Situ.Bridge.Datagram do
-  @moduledoc """
-  Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
+  @moduledoc false
+  # Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
+  #
+  # A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
+  # followed by a part of the payload, as in \psi. Chunks may arrive in any order, twice, or not at all. An
+  # incomplete set is abandoned and counted when a later set is complete, or when 16 later sets have begun. With
+  # `new(open: 1)`, any chunk of another set abandons the open set, as in \psi's receiver.
+  import Situ.BinarySize, only: [pinned_size: 1]
 
-  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
-  followed by a part of the payload. \\psi uses the same layout. Chunks may arrive in any order, twice, or not at all.
-  An incomplete set is abandoned and counted when a later set is complete, or when #{16} later sets have begun. With
-  `new(open: 1)`, any chunk of another set abandons the open set, as in \\psi's receiver.
+  @header 40
+  @max_parts 0xFFFF
+
+  defstruct sets: %{}, started: 0, abandoned: 0, received: 0, last_set: nil, open: 16
+
+  @type t :: %__MODULE__{}
+
+  @doc """
+  Splits the payload into chunks of at most `max` bytes. Raises `ArgumentError` if the payload needs more than 65,535
+  chunks.
 
       iex> alias Situ.Bridge.Datagram
       iex> [one, two] = Datagram.split_payload("hello", 7, 43)
@@ -14,29 +26,16 @@ defmodule Situ.Bridge.Datagram do
       iex> payload
       "hello"
   """
-  import Situ.BinarySize, only: [pinned_size: 1]
-
-  @header 40
-  @most 0xFFFF
-
-  defstruct sets: %{}, started: 0, abandoned: 0, received: 0, done: nil, open: 16
-
-  @type t :: %__MODULE__{}
-
-  @doc """
-  Splits the payload into chunks of at most `most` bytes. Raises `ArgumentError` if the payload needs more than 65,535
-  chunks.
-  """
   @spec split_payload(binary(), integer(), pos_integer()) :: [binary()]
-  def split_payload(payload, set, most \\ 0xFFFE) when most > @header do
-    parts = split_parts(payload, most - @header)
+  def split_payload(payload, set, max \\ 0xFFFE) when max > @header do
+    parts = split_parts(payload, max - @header)
     count = length(parts)
 
-    if count > @most,
+    if count > @max_parts,
       do:
         raise(
           ArgumentError,
-          "#{byte_size(payload)} bytes take #{count} datagrams; the maximum is #{@most}"
+          "#{byte_size(payload)} bytes take #{count} datagrams; the maximum is #{@max_parts}"
         )
 
     for {part, number} <- Enum.with_index(parts),
@@ -71,7 +70,7 @@ defmodule Situ.Bridge.Datagram do
   def push(state, _noise), do: {nil, state}
 
   defp late_set?(state, set),
-    do: state.done != nil and set <= state.done and not is_map_key(state.sets, set)
+    do: state.last_set != nil and set <= state.last_set and not is_map_key(state.sets, set)
 
   defp put_chunk(state, set, {count, number, part}) do
     state = if is_map_key(state.sets, set), do: state, else: begin_set(state, set, count)
@@ -95,7 +94,8 @@ defmodule Situ.Bridge.Datagram do
 
   defp complete_set(state, set, count, parts) when map_size(parts) == count do
     payload = for i <- 0..(count - 1), into: "", do: Map.fetch!(parts, i)
-    state = %{state | sets: Map.delete(state.sets, set), done: max(state.done || set, set)}
+    last_set = max(state.last_set || set, set)
+    state = %{state | sets: Map.delete(state.sets, set), last_set: last_set}
     {payload, abandon_sets(state, Enum.filter(Map.keys(state.sets), &(&1 < set)))}
   end
 

@@ -1,4 +1,15 @@
 defmodule Situ.Bridge.File do
+  @moduledoc """
+  Writes streams to files that other programs read, and reads such files: JSON, JSON lines, CSV, MessagePack
+  (`Situ.Bridge.Format`).
+
+      Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
+      p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
+
+  Files are written and read in chunks, so they may be of any length. The end of a file is written when the stream
+  closes; if the writer is killed, the messages written so far can still be read. Named pipes work, too.
+  """
+
   alias Situ.Bridge.Format
   alias Situ.Error
 
@@ -18,25 +29,18 @@ defmodule Situ.Bridge.File do
     name: [type: :string, doc: "The component's name."]
   ]
 
-  @moduledoc """
-  Writes streams to files that other programs read, and reads such files: JSON, JSON lines, CSV, MessagePack
-  (`Situ.Bridge.Format`).
+  use Situ.Component, inputs: [in: :any]
 
-      Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
-      p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
+  @chunk_bytes 65_536
 
-  Files are written and read in chunks, so they may be of any length. The end of a file is written when the stream
-  closes; if the writer is killed, the messages written so far can still be read. Named pipes work, too.
+  @impl true
+  def options, do: @write
 
-  ## Options of `write/3`
+  @doc """
+  Writes a stream to a file; returns the stream.
 
   #{Situ.Options.docs(Keyword.delete(@write, :path))}
   """
-  use Situ.Component, inputs: [in: :any], options: @write
-
-  @chunk 65_536
-
-  @doc "Writes a stream to a file; returns the stream."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)
@@ -107,7 +111,7 @@ defmodule Situ.Bridge.File do
   defp next_messages({nil, _, _} = acc, _module, _path, _opts), do: {:halt, acc}
 
   defp next_messages({file, {rest, state}, at}, module, path, opts) do
-    case :file.read(file, @chunk) do
+    case :file.read(file, @chunk_bytes) do
       {:ok, bytes} ->
         emit_messages(
           module.split(rest <> bytes, state, false, opts),
@@ -153,12 +157,12 @@ defmodule Situ.Bridge.File do
          module: Format.fetch_module!(opts[:format]),
          format: opts[:format],
          file: nil,
-         place: 0
+         position: 0
        }}
 
   @impl true
   def handle_start(_context, state) do
-    case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
+    case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk_bytes, 1_000}]) do
       {:ok, file} -> {[], %{state | file: file}}
       {:error, reason} -> raise open_error(state.path, reason)
     end
@@ -166,20 +170,20 @@ defmodule Situ.Bridge.File do
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    {record, place} = encode_record(state, message)
+    {record, position} = encode_record(state, message)
     append_bytes(state, record)
-    {[], %{state | place: place}}
+    {[], %{state | position: position}}
   end
 
   defp encode_record(state, message) do
-    Format.encode_record(state.module, message.data, message.originating_time, state.place)
+    Format.encode_record(state.module, message.data, message.originating_time, state.position)
   catch
     {:not_writable, what} -> raise Format.not_writable_error(state.format, what)
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
-    append_bytes(state, state.module.finish(state.place))
+    append_bytes(state, state.module.finish(state.position))
     {[], close_file(state)}
   end
 

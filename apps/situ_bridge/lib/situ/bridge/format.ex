@@ -41,16 +41,16 @@ defmodule Situ.Bridge.Format do
   @doc "Decodes a single message."
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
   @typedoc "A position in a file: the number of records before it, and the columns of its heading. 0 is the start."
-  @type place :: non_neg_integer() | {pos_integer(), [String.t()]}
+  @type position :: non_neg_integer() | {pos_integer(), [String.t()]}
 
   @doc "Encodes a record of a file."
-  @callback record(value :: term(), Situ.Time.t(), place()) :: iodata()
+  @callback record(value :: term(), Situ.Time.t(), position()) :: iodata()
   @doc "Returns the position after the first record of a file. Only formats with a heading implement it."
-  @callback headed(value :: term()) :: place()
+  @callback first_position(value :: term()) :: position()
   @doc "Encodes the records of plain numbers; for formats that can encode many of them faster in one call."
-  @callback columns(Situ.Store.Columns.t(), place()) :: iodata()
+  @callback columns(Situ.Store.Columns.t(), position()) :: iodata()
   @doc "Returns the end of a file."
-  @callback finish(place()) :: iodata()
+  @callback finish(position()) :: iodata()
   @doc "Returns the state before the first byte of a file."
   @callback start() :: term()
   @doc """
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Format do
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}
 
-  @optional_callbacks columns: 2, headed: 1
+  @optional_callbacks columns: 2, first_position: 1
 
   @modules %{
     json: Json,
@@ -95,19 +95,21 @@ defmodule Situ.Bridge.Format do
   after them. Raises `Situ.Error` (`:not_writable`) if the format cannot represent a value or the heading has no
   column for it.
   """
-  @spec encode_records(name(), Columns.t() | [Situ.Message.t()], place()) :: {iodata(), place()}
-  def encode_records(name, part, place) do
+  @spec encode_records(name(), Columns.t() | [Situ.Message.t()], position()) ::
+          {iodata(), position()}
+  def encode_records(name, part, position) do
     module = fetch_module!(name)
 
     case part do
       %Columns{} ->
-        if function_exported?(module, :columns, 2) and plain_numbers?(place),
+        if function_exported?(module, :columns, 2) and plain_numbers?(position),
           do:
-            {apply(module, :columns, [part, place]), next_position(module, 0, place, part.count)},
-          else: part |> Columns.to_pairs() |> encode_pairs(module, place)
+            {apply(module, :columns, [part, position]),
+             next_position(module, 0, position, part.count)},
+          else: part |> Columns.to_pairs() |> encode_pairs(module, position)
 
       messages ->
-        messages |> Enum.map(&{&1.originating_time, &1.data}) |> encode_pairs(module, place)
+        messages |> Enum.map(&{&1.originating_time, &1.data}) |> encode_pairs(module, position)
     end
   catch
     {:not_writable, what} -> raise not_writable_error(name, what)
@@ -116,29 +118,29 @@ defmodule Situ.Bridge.Format do
   defp plain_numbers?({_, names}), do: names == ["_Value_"]
   defp plain_numbers?(_n), do: true
 
-  defp encode_pairs(pairs, module, place),
+  defp encode_pairs(pairs, module, position),
     do:
-      Enum.map_reduce(pairs, place, fn {time, value}, at ->
-        encode_record(module, value, time, at)
+      Enum.map_reduce(pairs, position, fn {time, value}, position ->
+        encode_record(module, value, time, position)
       end)
 
   @doc false
-  @spec encode_record(module(), term(), Situ.Time.t(), place()) :: {iodata(), place()}
-  def encode_record(module, value, time, place),
-    do: {module.record(value, time, place), next_position(module, value, place, 1)}
+  @spec encode_record(module(), term(), Situ.Time.t(), position()) :: {iodata(), position()}
+  def encode_record(module, value, time, position),
+    do: {module.record(value, time, position), next_position(module, value, position, 1)}
 
-  defp next_position(_module, _value, {n, names}, more), do: {n + more, names}
+  defp next_position(_module, _value, {n, names}, count), do: {n + count, names}
 
-  defp next_position(module, value, 0, more) do
-    if function_exported?(module, :headed, 1),
-      do: next_position(module, value, module.headed(value), more - 1),
-      else: more
+  defp next_position(module, value, 0, count) do
+    if function_exported?(module, :first_position, 1),
+      do: next_position(module, value, module.first_position(value), count - 1),
+      else: count
   end
 
-  defp next_position(_module, _value, n, more), do: n + more
+  defp next_position(_module, _value, n, count), do: n + count
 
   @doc "Returns the number of records before a position."
-  @spec record_count(place()) :: non_neg_integer()
+  @spec record_count(position()) :: non_neg_integer()
   def record_count({n, _names}), do: n
   def record_count(n), do: n
 

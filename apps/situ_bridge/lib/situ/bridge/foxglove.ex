@@ -1,4 +1,42 @@
 defmodule Situ.Bridge.Foxglove do
+  @moduledoc """
+  Serves recordings to Foxglove and other programs that use its WebSocket protocol, even while they are being written.
+
+      {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
+      # In Foxglove: open a connection to ws://localhost:8765
+
+  Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
+  messages (the table in `Situ.Bridge.Ros`), all other types as JSON. Each client has its own playback, which starts
+  immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
+  or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
+  subscribing and after each seek, a client first gets the message that is current at that position. If the recording
+  is still being written, clients also get its new messages.
+
+  A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
+  for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
+  server needs a separate port.
+
+  ## Foxglove's messages
+
+  MCAP files (`Situ.Bridge.Mcap`) and files of Protobuf messages (`Situ.Bridge.Protobuf.File`) may contain Foxglove's
+  own messages, which become Situ's types. Messages without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) become
+  maps (`Situ.Bridge.Protobuf`).
+
+  | Foxglove | Situ |
+  |---|---|
+  | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
+  | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
+  | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
+  | `Pose`, `PoseInFrame` | `Situ.Pose` |
+  | `Point3`, `Vector3` | `Situ.Point3` |
+  | `CameraCalibration` | `Situ.CameraIntrinsics` |
+  | `LocationFix` | `Situ.GeoPoint` |
+  | `JointStates` | `Situ.JointState` |
+  | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
+  | `Log` | export only, from strings |
+  """
+
   @schema [
     port: [
       type: {:integer, 0, 65_535},
@@ -17,27 +55,7 @@ defmodule Situ.Bridge.Foxglove do
       doc: "The sites whose pages may connect. Pages that this machine serves may always connect."
     ]
   ]
-  @moduledoc """
-  Serves recordings to Foxglove and other programs that use its WebSocket protocol, even while they are being written.
 
-      {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
-      # In Foxglove: open a connection to ws://localhost:8765
-
-  Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
-  messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
-  immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
-  or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
-  subscribing and after each seek, a client first gets the message that is current at that position. If the recording
-  is still being written, clients also get its new messages.
-
-  A slow client slows down only its own playback. No messages are dropped, and at most a few megabytes are buffered
-  for it. Foxglove requires a WebSocket subprotocol, which the web server of the studio does not support, so this
-  server needs a separate port.
-
-  ## Options of `serve/2`
-
-  #{Situ.Options.docs(@schema)}
-  """
   # Foxglove closes a WebSocket if the server does not confirm the subprotocol. Yaws 2.1.1 (Debian
   # 12) reads the list of subprotocols but does not reply to it, and an application cannot add a
   # header to the handshake. Port 8765 is the default of the Foxglove app. The token of the studio
@@ -48,11 +66,13 @@ defmodule Situ.Bridge.Foxglove do
   alias Situ.Bridge.Net.Listener
   alias Situ.Error
 
-  @most_clients 100
+  @max_clients 100
 
   @doc """
   Serves a recording to any number of clients until `stop/1`. Errors: the errors of `Situ.Store.open/2`,
   `:address_in_use`, `:bad_address`.
+
+  #{Situ.Options.docs(@schema)}
   """
   @spec serve(Path.t() | Situ.Store.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def serve(store, opts \\ [])
@@ -96,7 +116,7 @@ defmodule Situ.Bridge.Foxglove do
   def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
 
   def handle_call(:adopt, _from, state) do
-    if MapSet.size(state.clients) >= @most_clients do
+    if MapSet.size(state.clients) >= @max_clients do
       {:reply, :full, state}
     else
       {:ok, client} = Client.start_link(state.args)

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Gzip do
   # row are unpacked as one text (RFC 1952).
 
   @doc """
-  Unpacks gzip into at most `most` bytes.
+  Unpacks gzip into at most `max_size` bytes.
 
       iex> packed = :zlib.gzip("aaaaaaaaaa")
       iex> {Situ.Bridge.Gzip.unpack_limited(packed, 10), Situ.Bridge.Gzip.unpack_limited(packed, 9)}
@@ -16,12 +16,12 @@ defmodule Situ.Bridge.Gzip do
   """
   @spec unpack_limited(binary(), non_neg_integer()) ::
           {:ok, binary()} | {:error, :too_large | :not_gzip}
-  def unpack_limited(packed, most) do
+  def unpack_limited(packed, max_size) do
     z = :zlib.open()
 
     try do
       :zlib.inflateInit(z, 31, :reset)
-      inflate_rest(z, :zlib.safeInflate(z, packed), most, [])
+      inflate_rest(z, :zlib.safeInflate(z, packed), max_size, [])
     rescue
       ErlangError -> {:error, :not_gzip}
     after
@@ -29,13 +29,13 @@ defmodule Situ.Bridge.Gzip do
     end
   end
 
-  defp inflate_rest(z, {state, out}, most, all) do
-    left = most - IO.iodata_length(out)
+  defp inflate_rest(z, {state, chunk}, max_size, chunks) do
+    remaining = max_size - IO.iodata_length(chunk)
 
     cond do
-      left < 0 -> {:error, :too_large}
-      state == :finished -> {:ok, IO.iodata_to_binary(Enum.reverse([out | all]))}
-      true -> inflate_rest(z, :zlib.safeInflate(z, []), left, [out | all])
+      remaining < 0 -> {:error, :too_large}
+      state == :finished -> {:ok, IO.iodata_to_binary(Enum.reverse([chunk | chunks]))}
+      true -> inflate_rest(z, :zlib.safeInflate(z, []), remaining, [chunk | chunks])
     end
   end
 end

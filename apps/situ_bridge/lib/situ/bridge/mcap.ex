@@ -1,4 +1,25 @@
 defmodule Situ.Bridge.Mcap do
+  @moduledoc """
+  Opens MCAP files (https://mcap.dev) as recordings with `Situ.Store.open("drive.mcap")`. They also work in the
+  studio, in `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline
+  runs, and `export/3` writes them from a recording.
+
+      {:ok, store} = Situ.Store.open("drive.mcap")
+      {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
+
+      drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
+      Situ.Bridge.Mcap.write(level, drive, "/level")
+
+  Each topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON.
+  Messages in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove
+  become Situ's types (the tables in `Situ.Bridge.Ros` and `Situ.Bridge.Foxglove`), and other messages become maps. If
+  two messages of a topic have the same time, the second one is moved by a nanosecond.
+
+  Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
+  writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
+  Zstandard. For attachments and metadata, see `list_attachments/1`, `read_attachment/2` and `Situ.Store.info/1`.
+  """
+
   alias Situ.Bridge.Mcap.{Codec, Copy, ExtraFields, NativeError, TopicSizes, Writer}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Recorder.{StoreExport, Exporter}
@@ -16,34 +37,12 @@ defmodule Situ.Bridge.Mcap do
             ]
           ] ++ Codec.reader_options()
 
-  @moduledoc """
-  Opens MCAP files (https://mcap.dev) as recordings with `Situ.Store.open("drive.mcap")`. They also work in the
-  studio, in `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline
-  runs, and `export/3` writes them from a recording.
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
 
-      {:ok, store} = Situ.Store.open("drive.mcap")
-      {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
-
-      drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
-      Situ.Bridge.Mcap.write(level, drive, "/level")
-
-  Each topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON.
-  Messages in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove
-  become Situ's types (`Situ.Bridge.Ros.StandardTypes`, `Situ.Bridge.Foxglove.StandardTypes`), and other messages
-  become maps. If two messages of a topic have the same time, the second one is moved by a nanosecond.
-
-  Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
-  writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
-  Zstandard. For attachments and metadata, see `list_attachments/1`, `read_attachment/2` and `Situ.Store.info/1`.
-
-  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
-  """
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 
-  @most_bytes 16 * 1024 * 1024
+  @max_bytes 16 * 1024 * 1024
 
   defstruct [:path, :ref, :name, :channels, :streams, :times, :messages, :notes, :info]
 
@@ -76,7 +75,7 @@ defmodule Situ.Bridge.Mcap do
       name: Path.basename(path, Path.extname(path))
     }
 
-    with {:ok, known} <- build_channels(state, channels, schemas) do
+    with {:ok, infos} <- build_channels(state, channels, schemas) do
       info = %{
         profile: profile,
         library: library,
@@ -86,7 +85,7 @@ defmodule Situ.Bridge.Mcap do
         finished?: finished?
       }
 
-      {:ok, name_channels(%{state | info: info}, known)}
+      {:ok, name_channels(%{state | info: info}, infos)}
     end
   end
 
@@ -94,7 +93,7 @@ defmodule Situ.Bridge.Mcap do
   # numbered.
   defp build_channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
-                                              {:ok, known} ->
+                                              {:ok, infos} ->
       {codec, type, note} = Codec.new(encoding, schemas[schema], topic)
       times = time_order(state.times, codec)
 
@@ -113,7 +112,7 @@ defmodule Situ.Bridge.Mcap do
             schema: schemas[schema]
           }
 
-          {:cont, {:ok, add_extra_channel(channel, state.messages) ++ known}}
+          {:cont, {:ok, add_extra_channel(channel, state.messages) ++ infos}}
 
         {:error, error} ->
           {:halt, {:error, error}}
@@ -124,10 +123,10 @@ defmodule Situ.Bridge.Mcap do
   defp add_extra_channel(channel, :apart) do
     if Codec.lossy?(channel.codec, channel.type) do
       id = ExtraFields.stream_number(channel.id)
-      more = %{channel | id: id, codec: Codec.extra_codec(channel.codec), type: :map, note: nil}
+      extra = %{channel | id: id, codec: Codec.extra_codec(channel.codec), type: :map, note: nil}
 
       [
-        %{more | topic: ExtraFields.stream_name(channel.topic), metadata: [], schema: nil},
+        %{extra | topic: ExtraFields.stream_name(channel.topic), metadata: [], schema: nil},
         channel
       ]
     else
@@ -140,13 +139,13 @@ defmodule Situ.Bridge.Mcap do
   defp time_order(:header, codec), do: Codec.stamp_encoding(codec) || :log
   defp time_order(times, _codec), do: times
 
-  defp name_channels(state, known) do
-    {channels, _taken} =
-      known
+  defp name_channels(state, infos) do
+    {channels, _names} =
+      infos
       |> Enum.reverse()
-      |> Enum.map_reduce(MapSet.new(), fn channel, taken ->
-        name = unused_name(channel.topic, taken, 2)
-        {Map.put(channel, :name, name), MapSet.put(taken, name)}
+      |> Enum.map_reduce(MapSet.new(), fn channel, names ->
+        name = unused_name(channel.topic, names, 2)
+        {Map.put(channel, :name, name), MapSet.put(names, name)}
       end)
 
     notes = for %{note: note} = channel <- channels, note != nil, do: "#{channel.name}: #{note}"
@@ -154,9 +153,9 @@ defmodule Situ.Bridge.Mcap do
     %{state | channels: Map.new(channels, &{&1.id, &1}), streams: streams, notes: notes}
   end
 
-  defp unused_name(topic, taken, n) do
+  defp unused_name(topic, names, n) do
     name = if n == 2, do: topic, else: "#{topic} #{n - 1}"
-    if MapSet.member?(taken, name), do: unused_name(topic, taken, n + 1), else: name
+    if MapSet.member?(names, name), do: unused_name(topic, names, n + 1), else: name
   end
 
   defp stream_info(state, channel) do
@@ -216,11 +215,11 @@ defmodule Situ.Bridge.Mcap do
     envelopes? = opts[:envelopes] == true
     skip? = opts[:skip_damage] == true
     track = {channel.native, channel.times}
-    what = {track, ordinal, to, {limit, @most_bytes}, {envelopes?, skip?}}
+    query = {track, ordinal, to, {limit, @max_bytes}, {envelopes?, skip?}}
 
-    with {:ok, {found, next}} <-
-           NativeError.wrap_result(Native.mcap_read(state.ref, what), state.path),
-         do: {:ok, Enum.map(found, &decode_message(&1, channel, envelopes?)), next}
+    with {:ok, {rows, next}} <-
+           NativeError.wrap_result(Native.mcap_read(state.ref, query), state.path),
+         do: {:ok, Enum.map(rows, &decode_message(&1, channel, envelopes?)), next}
   end
 
   defp decode_message({time, log_time, publish, sequence, bytes}, channel, envelopes?) do

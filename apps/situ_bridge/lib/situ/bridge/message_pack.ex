@@ -1,24 +1,24 @@
 defmodule Situ.Bridge.MessagePack do
-  @moduledoc """
-  Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md): terms made of
-  numbers, strings, booleans, `nil`, lists and maps.
+  @moduledoc false
+  # Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md).
+  #
+  # A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`,
+  # `false`) as strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1.
+  # Extensions are `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since
+  # 1970. The entries of a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and
+  # 512 levels of nesting, and creates no atoms.
+  import Situ.BinarySize, only: [pinned_size: 1]
+
+  @max_depth 512
+
+  @doc """
+  Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent.
 
       iex> alias Situ.Bridge.MessagePack
       iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()
       iex> MessagePack.decode(bytes)
       {:ok, %{"x" => [1, -2.5, nil, true]}, ""}
-
-  A valid UTF-8 string is encoded as a `str`, any other binary as a `bin`, and atoms (except `nil`, `true`, `false`)
-  as strings; `:nan`, `:infinity` and `:neg_infinity` are floats. Integers range from -2^63 to 2^64-1. Extensions are
-  `{:ext, type, bytes}`, and the timestamp extension is `{:timestamp, ns}`, in nanoseconds since 1970. The entries of
-  a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting,
-  and creates no atoms.
   """
-  import Situ.BinarySize, only: [pinned_size: 1]
-
-  @deepest 512
-
-  @doc "Encodes a term. Throws `{:not_writable, term}` for terms that MessagePack cannot represent."
   @spec encode(term()) :: iodata()
   def encode(nil), do: <<0xC0>>
   def encode(false), do: <<0xC2>>
@@ -115,8 +115,8 @@ defmodule Situ.Bridge.MessagePack do
     {:not_message_pack, why} -> {:error, why}
   end
 
-  defp decode_value(_bytes, depth, _pairs?) when depth > @deepest,
-    do: throw_malformed("it is nested more than #{@deepest} levels deep")
+  defp decode_value(_bytes, depth, _pairs?) when depth > @max_depth,
+    do: throw_malformed("it is nested more than #{@max_depth} levels deep")
 
   defp decode_value(<<0::1, n::7, rest::binary>>, _, _), do: {n, rest}
   defp decode_value(<<0b1000::4, n::4, rest::binary>>, d, p), do: decode_map(n, rest, d, p)
@@ -172,7 +172,7 @@ defmodule Situ.Bridge.MessagePack do
 
   defp take_bytes(n, bytes) do
     case bytes do
-      <<taken::binary-pinned_size(n), rest::binary>> -> {:binary.copy(taken), rest}
+      <<part::binary-pinned_size(n), rest::binary>> -> {:binary.copy(part), rest}
       _ -> throw_malformed("it ends within a value of #{n} bytes")
     end
   end

@@ -1,8 +1,31 @@
 defmodule Situ.Bridge.Mqtt do
+  @moduledoc """
+  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
+  streams on topics.
+
+      Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
+      levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
+      raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
+
+  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
+  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
+  messages of all matching topics arrive as one stream.
+
+  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
+  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
+  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
+  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
+  ends.
+
+  Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
+  certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
+  logged, and the client tries again.
+  """
+
   alias Situ.Bridge.Mqtt.{Sink, Subscription}
   alias Situ.Bridge.Net
 
-  @own [
+  @options [
     port: [
       type: {:optional, {:integer, 1, 65_535}},
       default: nil,
@@ -28,29 +51,7 @@ defmodule Situ.Bridge.Mqtt do
         "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
     ]
   ]
-  @schema @own ++ Net.ClientSocket.tls_options()
-  @moduledoc """
-  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
-  streams on topics.
-
-      Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
-      levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
-      raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
-
-  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
-  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
-  messages of all matching topics arrive as one stream.
-
-  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
-  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
-  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
-  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
-  ends.
-
-  Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
-  certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
-  logged, and the client tries again.
-  """
+  @schema @options ++ Net.ClientSocket.tls_options()
 
   @doc """
   Publishes a stream on a topic; returns the stream.
@@ -72,12 +73,15 @@ defmodule Situ.Bridge.Mqtt do
   """
   @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, host, topic, opts \\ []) do
-    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    own = own |> hide_password() |> Situ.Options.validate!(@schema)
-    id = own[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
-    arg = [id: id, topic: topic] ++ Keyword.drop(own, [:port, :tls])
-    port = own[:port] || if(own[:tls] in [nil, false], do: 1_883, else: 8_883)
-    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: own[:tls]] ++ opts)
+    {mqtt_opts, opts} = Keyword.split(opts, Keyword.keys(@schema))
+    mqtt_opts = mqtt_opts |> hide_password() |> Situ.Options.validate!(@schema)
+
+    id =
+      mqtt_opts[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+
+    arg = [id: id, topic: topic] ++ Keyword.drop(mqtt_opts, [:port, :tls])
+    port = mqtt_opts[:port] || if(mqtt_opts[:tls] in [nil, false], do: 1_883, else: 8_883)
+    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: mqtt_opts[:tls]] ++ opts)
   end
 
   # Options are part of the graph and of process states, which logs and observers show.

@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Native do
   def mcap_sizes(_reader, _chunk), do: missing()
   def mcap_span(_reader, _channel, _times), do: missing()
   def mcap_seek(_reader, _channel, _times, _time), do: missing()
-  def mcap_read(_reader, _what), do: missing()
+  def mcap_read(_reader, _query), do: missing()
   def mcap_attachment(_reader, _offset), do: missing()
   def mcap_create(_path, _profile, _compression, _chunk), do: missing()
   def mcap_channel(_writer, _topic, _encoding, _schema, _metadata), do: missing()

@@ -1,15 +1,4 @@
 defmodule Situ.Bridge.Parquet do
-  alias Situ.Bridge.Columnar.TableOptions
-
-  @export [
-            compression: [
-              type: {:in, [:none, :gzip]},
-              default: :none,
-              doc: "How to compress pages."
-            ]
-          ] ++ TableOptions.export_options("row group")
-  @read TableOptions.read_options()
-
   @moduledoc """
   Writes recordings as Parquet files for pandas, Polars, DuckDB and other programs that read tables, and reads such
   tables as streams.
@@ -27,19 +16,28 @@ defmodule Situ.Bridge.Parquet do
   zstd or LZ4, in all encodings except the deprecated BIT_PACKED. An unsupported encoding or compression is an error
   that names it. Decimals become floats, times of day and durations become nanoseconds, and UUIDs become strings. A
   row is a map of its columns; if its only column is `value`, the row is that value.
-
-  ## Options of `export/3`
-
-  #{Situ.Options.docs(@export)}
   """
+
   alias Situ.Bridge.Columnar
+  alias Situ.Bridge.Columnar.TableOptions
   alias Situ.Bridge.Parquet.{File, Writer}
   alias Situ.{Error, Store}
+
+  @export [
+            compression: [
+              type: {:in, [:none, :gzip]},
+              default: :none,
+              doc: "How to compress pages."
+            ]
+          ] ++ TableOptions.export_options("row group")
+  @read TableOptions.read_options()
 
   @doc """
   Writes streams of a recording into a folder, one file per stream, and returns `{:ok, %{name => rows}}`. Streams
   without messages, and streams of images, audio and other types with a codec, are skipped. Errors: `:not_writable`,
   `:io`, `:disk_full`.
+
+  #{Situ.Options.docs(@export)}
   """
   @spec export(Store.t(), Path.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}

@@ -24,7 +24,7 @@ defmodule Situ.Bridge.PayloadDecoder do
     type: [type: :any, default: :any, doc: "The type of the stream."]
   ]
 
-  defstruct [:format, :times, :opts, :last, :trouble, taken: 0, unreadable: 0, late: 0]
+  defstruct [:format, :times, :opts, :last, :last_error, emitted: 0, unreadable: 0, late: 0]
   @type t :: %__MODULE__{}
 
   @doc "Returns the options that all network sources have."
@@ -34,49 +34,52 @@ defmodule Situ.Bridge.PayloadDecoder do
   def new(opts),
     do: %__MODULE__{format: opts[:format], times: opts[:times], opts: [objects: opts[:objects]]}
 
-  @doc "Decodes payloads into messages `{:out, time, value}`; the inlet keeps the error of the last dropped payload."
+  @doc "Decodes payloads into messages `{:out, time, value}`; the decoder keeps the error of the last dropped payload."
   @spec take_payloads(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
-  def take_payloads(inlet, payloads, now),
-    do: take_decoded(inlet, Enum.map(payloads, &decode_payload(inlet, &1, now)))
+  def take_payloads(decoder, payloads, now),
+    do: take_decoded(decoder, Enum.map(payloads, &decode_payload(decoder, &1, now)))
 
   @doc "Same as `take_payloads/3` for decoded messages: `{:ok, {time, sender's?, value}}`, or `{:error, error}`."
   @spec take_decoded(t(), [{:ok, {Situ.Time.t(), boolean(), term()}} | {:error, term()}]) ::
           {[tuple()], t()}
-  def take_decoded(inlet, read) do
-    {found, inlet} = Enum.reduce(read, {[], inlet}, &take_message/2)
-    {Enum.reverse(found), inlet}
+  def take_decoded(decoder, results) do
+    {actions, decoder} = Enum.reduce(results, {[], decoder}, &take_message/2)
+    {Enum.reverse(actions), decoder}
   end
 
-  defp take_message({:ok, {time, own?, value}}, {found, inlet}),
-    do: accept_message(time, own?, value, found, inlet)
+  defp take_message({:ok, {time, sender_time?, value}}, {actions, decoder}),
+    do: accept_message(time, sender_time?, value, actions, decoder)
 
-  defp take_message({:error, error}, {found, inlet}),
-    do: {found, %{inlet | unreadable: inlet.unreadable + 1, trouble: error}}
+  defp take_message({:error, error}, {actions, decoder}),
+    do: {actions, %{decoder | unreadable: decoder.unreadable + 1, last_error: error}}
 
   defp decode_payload(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
 
-  defp decode_payload(inlet, payload, now) do
-    with {:ok, {time, value}} <- Format.decode(inlet.format, payload, inlet.opts) do
-      if inlet.times == :arrival, do: {:ok, {now, false, value}}, else: {:ok, {time, true, value}}
+  defp decode_payload(decoder, payload, now) do
+    with {:ok, {time, value}} <- Format.decode(decoder.format, payload, decoder.opts) do
+      if decoder.times == :arrival,
+        do: {:ok, {now, false, value}},
+        else: {:ok, {time, true, value}}
     end
   end
 
   # Several messages may arrive at the same clock reading, so arrival times are shifted. The sender's times are not
   # changed.
-  defp accept_message(time, own?, value, found, inlet) do
+  defp accept_message(time, sender_time?, value, actions, decoder) do
     cond do
-      inlet.last == nil or time > inlet.last -> emit_message(time, value, found, inlet)
-      own? -> {found, %{inlet | late: inlet.late + 1}}
-      true -> emit_message(inlet.last + 1, value, found, inlet)
+      decoder.last == nil or time > decoder.last -> emit_message(time, value, actions, decoder)
+      sender_time? -> {actions, %{decoder | late: decoder.late + 1}}
+      true -> emit_message(decoder.last + 1, value, actions, decoder)
     end
   end
 
-  defp emit_message(time, value, found, inlet),
-    do: {[{:out, time, value} | found], %{inlet | last: time, taken: inlet.taken + 1}}
+  defp emit_message(time, value, actions, decoder),
+    do: {[{:out, time, value} | actions], %{decoder | last: time, emitted: decoder.emitted + 1}}
 
-  @doc "Describes the inlet in one line."
+  @doc "Describes the decoder in one line."
   @spec describe_counts(t()) :: String.t()
-  def describe_counts(inlet),
+  def describe_counts(decoder),
     do:
-      "#{inlet.taken} messages, #{inlet.unreadable} unreadable, #{inlet.late} not later than the previous message"
+      "#{decoder.emitted} messages, #{decoder.unreadable} unreadable, " <>
+        "#{decoder.late} not later than the previous message"
 end

@@ -49,8 +49,8 @@ defmodule Situ.Bridge.Protobuf do
       {:ok, %Schema{messages: messages} = schema} when messages != %{} ->
         {:ok, schema}
 
-      {_, trouble} ->
-        with {:error, _} <- parse_text(bytes), do: {:error, explain_trouble(trouble)}
+      {_, problem} ->
+        with {:error, _} <- parse_text(bytes), do: {:error, explain_problem(problem)}
     end
   end
 
@@ -59,8 +59,8 @@ defmodule Situ.Bridge.Protobuf do
   defp parse_text(text),
     do: ProtoParser.parse(text, [Messages.load_types(), Descriptor.google_types()])
 
-  defp explain_trouble(why) when is_binary(why), do: why
-  defp explain_trouble(_empty), do: "it has no messages"
+  defp explain_problem(why) when is_binary(why), do: why
+  defp explain_problem(_empty), do: "it has no messages"
 
   @doc "Decodes a message of the type `name` (`\"package.Message\"`). Errors: `:no_such_type`, `:bad_message`."
   @spec decode(schema(), String.t(), binary()) :: {:ok, map()} | {:error, Error.t()}

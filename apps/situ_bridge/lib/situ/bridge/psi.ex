@@ -43,7 +43,7 @@ defmodule Situ.Bridge.Psi do
   defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
 
   # The maximum size of a batch, unless a single message is larger.
-  @most_bytes 16 * 1024 * 1024
+  @max_bytes 16 * 1024 * 1024
 
   @impl true
   def extensions, do: []
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Psi do
     with {:ok, folder, name} <- find_store(path),
          {catalog, damage} = Catalog.read(folder, name),
          :ok <- check_catalog(catalog, folder, name) do
-      {tracks, lost} = StoreScan.scan_store(folder, name, catalog.streams)
+      {tracks, scan_damage} = StoreScan.scan_store(folder, name, catalog.streams)
       types = TypePlans.new(Map.values(catalog.schemas), Catalog.runtime_types(catalog))
 
       state = %__MODULE__{
@@ -85,7 +85,7 @@ defmodule Situ.Bridge.Psi do
 
       streams = for entry <- Map.values(catalog.streams), do: stream_info(state, entry)
       missing = Enum.flat_map(Map.values(catalog.streams), &report_missing(state, &1))
-      damage = Enum.reverse(damage) ++ Enum.reverse(lost) ++ missing
+      damage = Enum.reverse(damage) ++ Enum.reverse(scan_damage) ++ missing
       {:ok, %{state | streams: Enum.sort_by(streams, & &1.id), damage: damage}}
     end
   end
@@ -154,11 +154,11 @@ defmodule Situ.Bridge.Psi do
 
   # The catalog entry of a closed stream contains its number of messages.
   defp report_missing(state, entry) do
-    there = Map.get(state.tracks, entry.id, %Track{}).count
+    present = Map.get(state.tracks, entry.id, %Track{}).count
 
-    if Entry.closed?(entry) and entry.count > there,
+    if Entry.closed?(entry) and entry.count > present,
       do: [
-        "#{entry.count - there} of #{entry.count} messages of the stream #{entry.name} are missing"
+        "#{entry.count - present} of #{entry.count} messages of the stream #{entry.name} are missing"
       ],
       else: []
   end
@@ -180,7 +180,7 @@ defmodule Situ.Bridge.Psi do
 
   defp describe_type(%{type: type} = info, state)
        when type in [:map, :any, {:list, :map}, {:list, :any}] do
-    how =
+    explanation =
       case TypePlans.handler(state.types, state.catalog.streams[info.id].type_name) do
         {:object, nil} ->
           "no schema in the store describes it, unless its messages name their types"
@@ -189,7 +189,7 @@ defmodule Situ.Bridge.Psi do
           "its messages are maps, based on the schema in the store"
       end
 
-    ["#{info.name} has the type #{info.type_name}: #{how}"]
+    ["#{info.name} has the type #{info.type_name}: #{explanation}"]
   end
 
   defp describe_type(_info, _state), do: []
@@ -209,7 +209,7 @@ defmodule Situ.Bridge.Psi do
 
     case batch_positions(track, ordinal, last) do
       [] -> {:ok, [], ordinal}
-      places -> read_messages(state, info, places, ordinal, opts)
+      positions -> read_messages(state, info, positions, ordinal, opts)
     end
   end
 
@@ -218,24 +218,24 @@ defmodule Situ.Bridge.Psi do
 
   defp batch_positions(track, ordinal, last) do
     ordinal..last//1
-    |> Enum.reduce_while({[], 0}, fn at, {places, bytes} ->
-      place = Track.position_at(track, at)
-      bytes = bytes + place.length
+    |> Enum.reduce_while({[], 0}, fn at, {positions, bytes} ->
+      position = Track.position_at(track, at)
+      bytes = bytes + position.length
 
-      if places != [] and bytes > @most_bytes,
-        do: {:halt, {places, bytes}},
-        else: {:cont, {[place | places], bytes}}
+      if positions != [] and bytes > @max_bytes,
+        do: {:halt, {positions, bytes}},
+        else: {:cont, {[position | positions], bytes}}
     end)
     |> elem(0)
     |> Enum.reverse()
   end
 
-  defp read_messages(state, info, places, ordinal, opts) do
+  defp read_messages(state, info, positions, ordinal, opts) do
     envelopes? = opts[:envelopes] == true
     type_name = state.catalog.streams[info.id].type_name
     handler = TypePlans.handler(state.types, type_name)
 
-    with {:ok, blocks} <- read_blocks(state, places, envelopes?) do
+    with {:ok, blocks} <- read_blocks(state, positions, envelopes?) do
       decode = &Decoder.decode_message(&1, type_name, handler, state.types)
       messages = Enum.map(blocks, &decode_message(&1, decode, envelopes?))
       {:ok, messages, ordinal + length(messages)}
@@ -265,33 +265,34 @@ defmodule Situ.Bridge.Psi do
   end
 
   # Neighboring messages are usually in the same file, which is opened once for all of them.
-  defp read_blocks(state, places, envelopes?) do
-    places
+  defp read_blocks(state, positions, envelopes?) do
+    positions
     |> Enum.chunk_by(&{&1.file, &1.extent})
-    |> Enum.reduce_while({:ok, []}, fn [%{file: kind, extent: extent} | _] = chunk, {:ok, done} ->
+    |> Enum.reduce_while({:ok, []}, fn [%{file: kind, extent: extent} | _] = chunk,
+                                       {:ok, chunks} ->
       path = Files.extent_path(state.folder, state.name, kind, extent)
 
       case read_file_blocks(
              path,
              for(p <- chunk, do: {p.at, if(envelopes?, do: 24, else: p.length)})
            ) do
-        {:ok, blocks} -> {:cont, {:ok, [blocks | done]}}
+        {:ok, blocks} -> {:cont, {:ok, [blocks | chunks]}}
         {:error, error} -> {:halt, {:error, error}}
       end
     end)
     |> case do
-      {:ok, done} -> {:ok, done |> Enum.reverse() |> Enum.concat()}
+      {:ok, chunks} -> {:ok, chunks |> Enum.reverse() |> Enum.concat()}
       error -> error
     end
   end
 
-  defp read_file_blocks(path, wanted) do
+  defp read_file_blocks(path, ranges) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
-         result = :file.pread(file, wanted),
+         result = :file.pread(file, ranges),
          :ok <- :file.close(file),
          {:ok, blocks} <- result,
          true <-
-           Enum.all?(Enum.zip(wanted, blocks), fn {{_, n}, block} ->
+           Enum.all?(Enum.zip(ranges, blocks), fn {{_, n}, block} ->
              is_binary(block) and byte_size(block) == n
            end) do
       {:ok, blocks}

@@ -8,14 +8,36 @@ defmodule Situ.Bridge.Ros do
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros.call("/add", definition, %{"a" => 2, "b" => 3})
 
   Messages of any type are decoded with the definition that their publisher sends. Standard messages become Situ's
-  types (`Situ.Bridge.Ros.StandardTypes`), and other messages become maps with string keys and times in nanoseconds.
-  The stamp of a header becomes the originating time (including simulated time), and vice versa. Each stream is a
-  separate node.
+  types (table below), and other messages become maps with string keys and times in nanoseconds. The stamp of a header
+  becomes the originating time (including simulated time), and vice versa. Each stream is a separate node.
 
   If a master or a publisher is unavailable or restarts, the node waits and reconnects. A slow subscriber loses
   messages beyond `high_water_mark:`, which are counted. Messages that cannot be read, or whose times do not increase,
   are dropped and counted (`Situ.Pipeline.info/1`). ROS 1 has neither encryption nor authentication. If the master is
   on this machine, a node listens only on 127.0.0.1; otherwise it listens on all interfaces.
+
+  ## Standard types
+
+  All readers and writers of ROS messages (topics, bags, MCAP) convert these types. Messages with a standard name but
+  invalid values or other fields stay maps. With `messages: :maps`, a reader returns all messages as maps, including
+  covariances and frames of reference.
+
+  | ROS | Situ |
+  |---|---|
+  | `sensor_msgs/Image` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `sensor_msgs/CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
+  | `sensor_msgs/PointCloud2` (x, y, z, rgb and intensity) | `Situ.PointCloud` |
+  | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
+  | `sensor_msgs/Imu` | `Situ.ImuReading` |
+  | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; a map without a fix |
+  | `sensor_msgs/JointState` | `Situ.JointState` |
+  | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, marked as static on `/tf_static` |
+  | `geometry_msgs/TransformStamped` | `Situ.Transform` |
+  | `geometry_msgs/Pose`, `PoseStamped` | `Situ.Pose` |
+  | `audio_common_msgs/AudioData` | written from `Situ.AudioBuffer`; read as a map, because it has no format |
+  | `geometry_msgs/Point`, `Point32`, `Vector3` | `Situ.Point3` |
+  | `rosgraph_msgs/Clock` | the simulated time, an integer |
+  | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
   """
   alias Situ.Bridge.Ros.{Address, Registrar, Service, Sink, Source}
   alias Situ.Error

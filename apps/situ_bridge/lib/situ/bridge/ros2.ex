@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Ros2 do
       type = "example_interfaces/srv/AddTwoInts"
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros2.call("/add", type, add, %{"a" => 2, "b" => 3})
 
-  Standard messages become Situ's types (`Situ.Bridge.Ros.StandardTypes`), and other messages become maps with string
+  Standard messages become Situ's types (the table in `Situ.Bridge.Ros`), and other messages become maps with string
   keys, according to `definition:`. The originating time is the stamp of the header, or else the time of sending. Each
   stream is a separate node, visible to `ros2 topic list`. Types are identified by ROS's own hash.
 

@@ -15,7 +15,7 @@ defmodule Situ.Bridge.ServerSentEvents do
   alias Situ.Bridge.Net.{Protocol, Sink, Source}
   alias Situ.Bridge.WebSocket.Handshake
 
-  @most_head 16_384
+  @max_head 16_384
 
   @doc """
   Serves a stream; returns the stream.
@@ -48,7 +48,7 @@ defmodule Situ.Bridge.ServerSentEvents do
       [_, _] ->
         Handshake.refuse_request("405 Method Not Allowed", "GET only.\n")
 
-      [_] when byte_size(bytes) > @most_head ->
+      [_] when byte_size(bytes) > @max_head ->
         Handshake.refuse_request("431 Request Header Fields Too Large", "")
 
       [_] ->
@@ -63,7 +63,7 @@ defmodule Situ.Bridge.ServerSentEvents do
   end
 
   @impl Protocol
-  def heard(_bytes, _arg), do: {:ok, "", ""}
+  def handle_bytes(_bytes, _arg), do: {:ok, "", ""}
 
   @impl Protocol
   def hello(host, port, path) do
@@ -72,17 +72,17 @@ defmodule Situ.Bridge.ServerSentEvents do
   end
 
   @impl Protocol
-  def read(bytes, %{head?: true} = state, most) do
+  def read(bytes, %{head?: true} = state, max) do
     bytes = state.rest <> bytes
 
     case :binary.split(bytes, "\r\n\r\n") do
       [<<"HTTP/1.", _, " 200", _::binary>>, rest] ->
-        read(rest, %{head?: false, rest: ""}, most)
+        read(rest, %{head?: false, rest: ""}, max)
 
       [head, _] ->
         {:error, "the response is #{inspect(head |> String.split("\r\n") |> hd())}"}
 
-      [_] when byte_size(bytes) > @most_head ->
+      [_] when byte_size(bytes) > @max_head ->
         {:error, "the response is not HTTP"}
 
       [_] ->
@@ -90,11 +90,11 @@ defmodule Situ.Bridge.ServerSentEvents do
     end
   end
 
-  def read(bytes, state, most) do
+  def read(bytes, state, max) do
     {rest, events} = (state.rest <> bytes) |> String.split(~r/\r?\n\r?\n/) |> List.pop_at(-1)
 
-    if byte_size(rest) > most,
-      do: {:error, "an event is longer than #{most} bytes"},
+    if byte_size(rest) > max,
+      do: {:error, "an event is longer than #{max} bytes"},
       else: {:ok, Enum.flat_map(events, &event_data/1), "", %{state | rest: rest}}
   end
 

@@ -1,12 +1,8 @@
 defmodule Situ.Bridge.TableImport do
-  @moduledoc """
-  Imports files of one stream each (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording: a
-  new store with one stream per file.
-
-      {:ok, path, counts} = Situ.Bridge.TableImport.import([{"Level", "level.parquet", :parquet}], "recordings/levels")
-
-  The store gets its name only when it is complete; if an error occurs, nothing of it is left on disk.
-  """
+  @moduledoc false
+  # Imports files of one stream each (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording:
+  # a new store with one stream per file. The store gets its name only when it is complete; if an error occurs,
+  # nothing of it is left on disk.
   alias Situ.Bridge
   alias Situ.{Error, Message}
   alias Situ.Store.{Draft, Writer}
@@ -29,27 +25,27 @@ defmodule Situ.Bridge.TableImport do
     progress = opts[:progress] || fn _written -> :ok end
     counts = :atomics.new(max(length(tables), 1), [])
 
-    made =
+    result =
       Draft.build_store({Path.basename(out), Path.dirname(out)}, [], fn writer ->
         tables
         |> Enum.with_index(1)
-        |> Enum.reduce_while(:ok, fn {table, at}, :ok ->
-          told = fn n -> progress.(:atomics.add_get(counts, at, n)) end
+        |> Enum.reduce_while(:ok, fn {table, index}, :ok ->
+          report = fn id -> progress.(:atomics.add_get(counts, index, id)) end
 
-          case write_table(writer, table, told, opts[:notice]) do
+          case write_table(writer, table, report, opts[:notice]) do
             :ok -> {:cont, :ok}
             error -> {:halt, error}
           end
         end)
       end)
 
-    with {:ok, path} <- made do
+    with {:ok, path} <- result do
       names = tables |> Enum.map(&elem(&1, 0)) |> Enum.with_index(1)
-      {:ok, path, Map.new(names, fn {name, at} -> {name, :atomics.get(counts, at)} end)}
+      {:ok, path, Map.new(names, fn {name, index} -> {name, :atomics.get(counts, index)} end)}
     end
   end
 
-  defp write_table(writer, {name, path, format}, told, notice) do
+  defp write_table(writer, {name, path, format}, report, notice) do
     # The first pass determines the type; it discards the notices, which the second pass repeats.
     type = value_type(path, stream_rows(path, format, fn _sentence -> :ok end))
 
@@ -61,7 +57,7 @@ defmodule Situ.Bridge.TableImport do
       |> Enum.reduce_while({:ok, stream, nil}, fn batch, {:ok, stream, _last} ->
         case Writer.append(stream, Enum.map(batch, &build_message/1)) do
           {:ok, stream} ->
-            told.(length(batch))
+            report.(length(batch))
             {{last, _}, _} = List.last(batch)
             {:cont, {:ok, stream, last}}
 
@@ -83,8 +79,8 @@ defmodule Situ.Bridge.TableImport do
 
   defp close_stream(error), do: error
 
-  defp build_message({{time, value}, n}),
-    do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
+  defp build_message({{time, value}, id}),
+    do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: id}
 
   defp stream_rows(path, :parquet, notice), do: Bridge.Parquet.messages(path, notice: notice)
   defp stream_rows(path, :arrow, notice), do: Bridge.Arrow.messages(path, notice: notice)
@@ -145,10 +141,10 @@ defmodule Situ.Bridge.TableImport do
 
   defp first_bytes(path) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
-      found = :file.read(file, 100)
+      result = :file.read(file, 100)
       :ok = :file.close(file)
 
-      with {:ok, bytes} <- found, true <- String.printable?(bytes) do
+      with {:ok, bytes} <- result, true <- String.printable?(bytes) do
         bytes
       else
         _ -> ""

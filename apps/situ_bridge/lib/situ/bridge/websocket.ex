@@ -15,7 +15,7 @@ defmodule Situ.Bridge.WebSocket do
   alias Situ.Bridge.Net.{Protocol, Sink, Source}
   alias Situ.Bridge.WebSocket.{Frames, Handshake}
 
-  @most_said 65_536
+  @max_client_bytes 65_536
 
   @doc """
   Serves a stream; returns the stream. `origins:` lists the origins of pages that may connect
@@ -43,9 +43,9 @@ defmodule Situ.Bridge.WebSocket do
 
   @impl Protocol
   def admit(bytes, arg) do
-    with {:ok, answer, _protocol, _path, rest} <-
+    with {:ok, reply, _protocol, _path, rest} <-
            Handshake.admit_client(bytes, origins: arg.origins),
-         do: {:ok, answer, rest}
+         do: {:ok, reply, rest}
   end
 
   @impl Protocol
@@ -53,8 +53,8 @@ defmodule Situ.Bridge.WebSocket do
 
   # Messages of clients are dropped; only pings get a reply.
   @impl Protocol
-  def heard(bytes, _arg) do
-    case Frames.split_messages(bytes, nil, true, @most_said) do
+  def handle_bytes(bytes, _arg) do
+    case Frames.split_messages(bytes, nil, true, @max_client_bytes) do
       {:ok, events, rest, nil} -> build_reply(events, rest)
       _ -> :close
     end
@@ -73,28 +73,28 @@ defmodule Situ.Bridge.WebSocket do
   end
 
   @impl Protocol
-  def read(bytes, %{key: key} = state, most) when key != nil do
+  def read(bytes, %{key: key} = state, max) when key != nil do
     case Handshake.check_response(state.rest <> bytes, key) do
-      {:ok, rest} -> read(rest, %{state | key: nil, rest: ""}, most)
+      {:ok, rest} -> read(rest, %{state | key: nil, rest: ""}, max)
       :more -> {:ok, [], "", %{state | rest: state.rest <> bytes}}
       error -> error
     end
   end
 
-  def read(bytes, state, most) do
+  def read(bytes, state, max) do
     with {:ok, events, rest, partial_message} <-
-           Frames.split_messages(state.rest <> bytes, state.partial_message, false, most) do
+           Frames.split_messages(state.rest <> bytes, state.partial_message, false, max) do
       payloads = for {kind, payload} <- events, kind in [:text, :binary], do: payload
       mask = <<0::32>>
       pongs = for {:ping, data} <- events, do: Frames.encode_frame(:pong, data, mask)
-      answer = if pongs == [], do: "", else: pongs
-      {:ok, payloads, answer, %{state | rest: rest, partial_message: partial_message}}
+      reply = if pongs == [], do: "", else: pongs
+      {:ok, payloads, reply, %{state | rest: rest, partial_message: partial_message}}
     end
   end
 
   @impl Protocol
-  def missing(%{key: nil, rest: rest}), do: Frames.missing_bytes(rest)
-  def missing(_handshake), do: 1
+  def missing_bytes(%{key: nil, rest: rest}), do: Frames.missing_bytes(rest)
+  def missing_bytes(_handshake), do: 1
 
   @doc "Same as `serve/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()

@@ -5,8 +5,8 @@ defmodule Situ.Bridge.Arrow.Batch do
   alias Situ.Bridge.Arrow.{Buffer, FlatBuffer, Schema, Values}
   alias Situ.Bridge.Columnar.Input
 
-  @most_metadata 67_108_864
-  @small 65_536
+  @max_metadata 67_108_864
+  @small_body 65_536
   @enforce_keys [:read, :body_size, :rows, :nodes, :buffers, :views, :codec]
   defstruct @enforce_keys
 
@@ -18,7 +18,7 @@ defmodule Situ.Bridge.Arrow.Batch do
 
   @doc "Reads the metadata of a message of this kind; returns its bytes and the offset of its header."
   @spec read_metadata(block(), kind :: 1..3, Input.read()) :: {binary(), non_neg_integer()}
-  def read_metadata({at, n, _body}, kind, read) when n in 8..@most_metadata and at >= 0 do
+  def read_metadata({at, n, _body}, kind, read) when n in 8..@max_metadata and at >= 0 do
     # Files written before Arrow 0.15 have no 0xFFFFFFFF before the length.
     bytes =
       case read.(at, n) do
@@ -65,7 +65,7 @@ defmodule Situ.Bridge.Arrow.Batch do
   end
 
   # A small body is read in one call, since each read switches to another thread.
-  defp read_body(at, size, read) when size in 0..@small do
+  defp read_body(at, size, read) when size in 0..@small_body do
     body = read.(at, size)
     &binary_part(body, &1, &2)
   end
@@ -78,15 +78,15 @@ defmodule Situ.Bridge.Arrow.Batch do
   """
   @spec resolve_column(t(), Schema.column(), dictionaries()) :: Values.column()
   def resolve_column(batch, column, dictionaries) do
-    found = find_column(batch, column, dictionaries)
+    data = find_column(batch, column, dictionaries)
 
-    if found.rows != batch.rows,
+    if data.rows != batch.rows,
       do:
         throw_malformed(
           "the column #{inspect(column.name)} does not have as many rows as its batch"
         )
 
-    found
+    data
   end
 
   defp find_column(batch, column, dictionaries) do

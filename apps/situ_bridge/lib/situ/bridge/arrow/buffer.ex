@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Arrow.Buffer do
   # unpacked into memory. Throws `{:not_arrow, why}`.
   alias Situ.Bridge.Native
 
-  @most 1_073_741_824
+  @max_bytes 1_073_741_824
   @codecs %{0 => "lz4", 1 => "zstd"}
 
   @typedoc "The size of the buffer, and a function that reads `n` bytes at an offset."
@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Arrow.Buffer do
   def unpack_buffer(_buffer, _codec),
     do: throw_malformed("a buffer is compressed with an unknown codec")
 
-  defp unpack_bytes(codec, bytes, size) when size in 0..@most do
+  defp unpack_bytes(codec, bytes, size) when size in 0..@max_bytes do
     case Native.unpack(codec, bytes, size) do
       {:ok, unpacked} when byte_size(unpacked) == size -> unpacked
       {:ok, _} -> throw_malformed("a buffer does not unpack to its declared size")

@@ -7,8 +7,8 @@ defmodule Situ.Bridge.Arrow.File do
   alias Situ.Bridge.Columnar.Input
 
   @format {:not_arrow, "Arrow"}
-  @most_metadata 67_108_864
-  @most_body 4_294_967_296
+  @max_metadata 67_108_864
+  @max_body 4_294_967_296
   @slice 1_024
   @schema 1
   @dictionary 2
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.Arrow.File do
 
     n =
       case read.(size - 10, 10) do
-        <<n::little-32, "ARROW1">> when n <= @most_metadata and n + 18 <= size -> n
+        <<n::little-32, "ARROW1">> when n <= @max_metadata and n + 18 <= size -> n
         _ -> throw_malformed("it does not end in ARROW1: it was truncated or never finished")
       end
 
@@ -79,21 +79,21 @@ defmodule Situ.Bridge.Arrow.File do
 
   # A stream ends at its end marker, or at the point where it was truncated.
   defp read_messages(size, read) do
-    found = collect_messages({size, read}, 0, [])
+    messages = collect_messages({size, read}, 0, [])
 
-    case Enum.find(found, &(elem(&1, 0) == @schema)) do
+    case Enum.find(messages, &(elem(&1, 0) == @schema)) do
       {_, bytes, header, _block} ->
         version = FlatBuffer.read_number(bytes, FlatBuffer.root_offset(bytes), 0, :i16, 0)
-        {{bytes, header, version}, for({kind, _, _, block} <- found, do: {kind, block})}
+        {{bytes, header, version}, for({kind, _, _, block} <- messages, do: {kind, block})}
 
       nil ->
         throw_malformed("it has no schema")
     end
   end
 
-  defp collect_messages({size, read} = file, at, found) when at + 8 <= size do
+  defp collect_messages({size, read} = file, at, acc) when at + 8 <= size do
     case read.(at, 8) do
-      <<0xFFFFFFFF::32, n::little-32>> when n in 1..@most_metadata and at + 8 + n <= size ->
+      <<0xFFFFFFFF::32, n::little-32>> when n in 1..@max_metadata and at + 8 + n <= size ->
         bytes = read.(at + 8, n)
         root = FlatBuffer.root_offset(bytes)
         kind = FlatBuffer.read_number(bytes, root, 1, :u8, 0)
@@ -104,31 +104,36 @@ defmodule Situ.Bridge.Arrow.File do
 
         next = at + 8 + n + body
 
-        if body in 0..@most_body and next <= size,
-          do: collect_messages(file, next, [{kind, bytes, header, {at, n + 8, body}} | found]),
-          else: Enum.reverse(found)
+        if body in 0..@max_body and next <= size,
+          do: collect_messages(file, next, [{kind, bytes, header, {at, n + 8, body}} | acc]),
+          else: Enum.reverse(acc)
 
       _ ->
-        Enum.reverse(found)
+        Enum.reverse(acc)
     end
   end
 
-  defp collect_messages(_file, _at, found), do: Enum.reverse(found)
+  defp collect_messages(_file, _at, acc), do: Enum.reverse(acc)
 
   # A stream may replace a dictionary for the batches that follow.
   defp group_batches(messages, dictionaries, read) do
-    {groups, _known} =
+    {groups, _entries} =
       Enum.flat_map_reduce(messages, %{}, fn
-        {@dictionary, block}, known -> {[], put_dictionary(known, block, dictionaries, read)}
-        {@batch, block}, known -> {[{block, known}], known}
-        {_other, _block}, known -> {[], known}
+        {@dictionary, block}, entries_by_id ->
+          {[], put_dictionary(entries_by_id, block, dictionaries, read)}
+
+        {@batch, block}, entries_by_id ->
+          {[{block, entries_by_id}], entries_by_id}
+
+        {_other, _block}, entries_by_id ->
+          {[], entries_by_id}
       end)
 
     groups
   end
 
   # Adds the entries of a dictionary. A delta extends the known entries; any other message replaces them.
-  defp put_dictionary(known, block, dictionaries, read) do
+  defp put_dictionary(entries_by_id, block, dictionaries, read) do
     {bytes, root} = Batch.read_metadata(block, @dictionary, read)
     id = FlatBuffer.read_number(bytes, root, 0, :i64, 0)
 
@@ -142,11 +147,11 @@ defmodule Situ.Bridge.Arrow.File do
 
         entries = Values.read_rows(entries, 0, entries.rows)
         delta? = FlatBuffer.read_number(bytes, root, 2, :u8, 0) == 1
-        before = if delta?, do: known |> Map.get(id, {}) |> Tuple.to_list(), else: []
-        Map.put(known, id, List.to_tuple(before ++ entries))
+        previous = if delta?, do: entries_by_id |> Map.get(id, {}) |> Tuple.to_list(), else: []
+        Map.put(entries_by_id, id, List.to_tuple(previous ++ entries))
 
       _ ->
-        known
+        entries_by_id
     end
   end
 

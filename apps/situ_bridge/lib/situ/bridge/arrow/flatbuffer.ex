@@ -40,9 +40,12 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
   defp put_object({:vector, objects}, at) do
     start = align_offset(at, 4)
     count = length(objects)
-    places = for i <- 0..(count - 1)//1, do: start + 4 + 4 * i
-    {offsets, children, _end} = put_referenced(Enum.zip(places, objects), start + 4 + 4 * count)
-    words = for place <- places, do: <<offsets[place]::little-32>>
+    positions = for i <- 0..(count - 1)//1, do: start + 4 + 4 * i
+
+    {offsets, children, _end} =
+      put_referenced(Enum.zip(positions, objects), start + 4 + 4 * count)
+
+    words = for position <- positions, do: <<offsets[position]::little-32>>
     {[zero_padding(at, start), <<count::little-32>>, words, children], start}
   end
 
@@ -51,26 +54,26 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
     vtable = align_offset(at, 2)
     start = align_offset(vtable + 4 + 2 * (slots + 1), 8)
 
-    {placed, till} =
+    {layout, stop} =
       Enum.map_reduce(fields, start + 4, fn {slot, {kind, value}}, at ->
-        place = align_offset(at, @sizes[kind])
-        {{slot, place, kind, value}, place + @sizes[kind]}
+        position = align_offset(at, @sizes[kind])
+        {{slot, position, kind, value}, position + @sizes[kind]}
       end)
 
     {offsets, children, _end} =
-      put_referenced(for({_slot, place, :ref, object} <- placed, do: {place, object}), till)
+      put_referenced(for({_slot, position, :ref, object} <- layout, do: {position, object}), stop)
 
-    places = Map.new(placed, fn {slot, place, _, _} -> {slot, place - start} end)
-    slots = for slot <- 0..slots//1, do: <<Map.get(places, slot, 0)::little-16>>
+    positions = Map.new(layout, fn {slot, position, _, _} -> {slot, position - start} end)
+    slots = for slot <- 0..slots//1, do: <<Map.get(positions, slot, 0)::little-16>>
     size = 4 + IO.iodata_length(slots)
 
     {inline, _} =
-      Enum.map_reduce(placed, start + 4, fn {_, place, kind, value}, at ->
-        value = if kind == :ref, do: offsets[place], else: value
-        {[zero_padding(at, place), encode_scalar(kind, value)], place + @sizes[kind]}
+      Enum.map_reduce(layout, start + 4, fn {_, position, kind, value}, at ->
+        value = if kind == :ref, do: offsets[position], else: value
+        {[zero_padding(at, position), encode_scalar(kind, value)], position + @sizes[kind]}
       end)
 
-    head = [<<size::little-16, till - start::little-16>>, slots]
+    head = [<<size::little-16, stop - start::little-16>>, slots]
 
     {[
        zero_padding(at, vtable),
@@ -83,10 +86,10 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
   end
 
   # Puts objects one after another from `at` on; returns the offset of each, relative to the field that refers to it.
-  defp put_referenced(placed, at) do
-    Enum.reduce(placed, {%{}, [], at}, fn {place, object}, {offsets, bytes, at} ->
-      {more, start} = put_object(object, at)
-      {Map.put(offsets, place, start - place), [bytes, more], at + IO.iodata_length(more)}
+  defp put_referenced(layout, at) do
+    Enum.reduce(layout, {%{}, [], at}, fn {position, object}, {offsets, bytes, at} ->
+      {child, start} = put_object(object, at)
+      {Map.put(offsets, position, start - position), [bytes, child], at + IO.iodata_length(child)}
     end)
   end
 
@@ -136,8 +139,8 @@ defmodule Situ.Bridge.Arrow.FlatBuffer do
     {at, count} = vector_bounds(bytes, table, slot, 4)
 
     for i <- 0..(count - 1)//1 do
-      place = at + 4 * i
-      place + read_unsigned(bytes, place, 4)
+      position = at + 4 * i
+      position + read_unsigned(bytes, position, 4)
     end
   end
 

@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Arrow.Schema do
   alias Situ.Bridge.Arrow.FlatBuffer
   alias Situ.Bridge.Columnar.{Column, ColumnNames}
 
-  @deepest 64
+  @max_depth 64
   # The value of MetadataVersion.V5.
   @version_1_0 4
   @kinds %{
@@ -88,14 +88,14 @@ defmodule Situ.Bridge.Arrow.Schema do
       do: throw({:not_arrow, "its numbers are big-endian"})
 
     fields = FlatBuffer.table_offsets(bytes, schema, 1)
-    {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &decode_column(bytes, &1, &2, 0))
+    {results, _positions} = Enum.map_reduce(fields, {0, 0, 0}, &decode_column(bytes, &1, &2, 0))
 
     # Before version 5, unions had an additional buffer, which would shift the buffers of all later columns.
     if version < @version_1_0 and Enum.any?(fields, &contains_union?(bytes, &1)),
       do: throw({:not_arrow, "it has unions in the format used before Arrow 1.0"})
 
-    found = ColumnNames.number_duplicates(found)
-    {left_out, columns} = Enum.split_with(found, &is_map_key(&1, :left_out))
+    results = ColumnNames.number_duplicates(results)
+    {left_out, columns} = Enum.split_with(results, &is_map_key(&1, :left_out))
     left_out = for column <- left_out, do: {column.name, column.left_out}
     {columns, left_out, columns |> Enum.flat_map(&dictionary_columns/1) |> Map.new()}
   end
@@ -110,19 +110,19 @@ defmodule Situ.Bridge.Arrow.Schema do
 
   # The batch of a dictionary contains only this column.
   defp dictionary_columns(%{dictionary: id} = column) do
-    first = %{node: 0, buffer: 0, view: 0, dictionary: nil, index: nil, time?: false}
-    [{id, Map.merge(column, Map.put(first, :name, "dictionary #{id}"))}]
+    base = %{node: 0, buffer: 0, view: 0, dictionary: nil, index: nil, time?: false}
+    [{id, Map.merge(column, Map.put(base, :name, "dictionary #{id}"))}]
   end
 
-  defp decode_column(_bytes, _field, _place, depth) when depth > @deepest,
+  defp decode_column(_bytes, _field, _position, depth) when depth > @max_depth,
     do: throw({:not_arrow, "its fields are nested too deeply"})
 
-  defp decode_column(bytes, field, {node, buffer, view} = place, depth) do
+  defp decode_column(bytes, field, {node, buffer, view} = position, depth) do
     name = FlatBuffer.read_string(bytes, field, 0) || ""
     type = decode_type(bytes, field)
     {id, index} = decode_dictionary(bytes, field)
-    next_place = skip_field(bytes, field, place, 0)
-    children = if id == nil, do: decode_children(type, bytes, field, place, depth), else: []
+    next_position = skip_field(bytes, field, position, 0)
+    children = if id == nil, do: decode_children(type, bytes, field, position, depth), else: []
 
     case unreadable_kind(bytes, field, {type, id, index, children}) do
       nil ->
@@ -138,10 +138,10 @@ defmodule Situ.Bridge.Arrow.Schema do
           index: index
         }
 
-        {column, next_place}
+        {column, next_position}
 
       kind ->
-        {%{name: name, left_out: kind}, next_place}
+        {%{name: name, left_out: kind}, next_position}
     end
   end
 
@@ -164,14 +164,14 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp decode_children(type, bytes, field, {node, buffer, view}, depth) do
     if nested_type?(type) do
       kind = FlatBuffer.read_number(bytes, field, 2, :u8, 0)
-      place = {node + 1, buffer + buffer_count(kind, bytes, field), view}
+      position = {node + 1, buffer + buffer_count(kind, bytes, field), view}
 
-      {found, _} =
+      {results, _} =
         bytes
         |> FlatBuffer.table_offsets(field, 5)
-        |> Enum.map_reduce(place, &decode_column(bytes, &1, &2, depth + 1))
+        |> Enum.map_reduce(position, &decode_column(bytes, &1, &2, depth + 1))
 
-      check_children(type, ColumnNames.number_duplicates(found))
+      check_children(type, ColumnNames.number_duplicates(results))
     else
       []
     end
@@ -203,7 +203,7 @@ defmodule Situ.Bridge.Arrow.Schema do
   end
 
   # Counts the nodes, buffers and string views of a field and its descendants.
-  defp skip_field(_bytes, _field, _place, depth) when depth > @deepest,
+  defp skip_field(_bytes, _field, _position, depth) when depth > @max_depth,
     do: throw({:not_arrow, "its fields are nested too deeply"})
 
   defp skip_field(bytes, field, {node, buffer, view}, depth) do
@@ -212,11 +212,11 @@ defmodule Situ.Bridge.Arrow.Schema do
     if FlatBuffer.object_offset(bytes, field, 4) do
       {node + 1, buffer + 2, view}
     else
-      place = {node + 1, buffer + buffer_count(kind, bytes, field), view + view_count(kind)}
+      position = {node + 1, buffer + buffer_count(kind, bytes, field), view + view_count(kind)}
 
       bytes
       |> FlatBuffer.table_offsets(field, 5)
-      |> Enum.reduce(place, &skip_field(bytes, &1, &2, depth + 1))
+      |> Enum.reduce(position, &skip_field(bytes, &1, &2, depth + 1))
     end
   end
 

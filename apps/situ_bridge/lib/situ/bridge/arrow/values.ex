@@ -6,8 +6,8 @@ defmodule Situ.Bridge.Arrow.Values do
   alias Situ.Bridge.Arrow.Buffer
   alias Situ.Bridge.Columnar.Column
 
-  @most 1_073_741_824
-  @most_missing 10_000_000
+  @max_bytes 1_073_741_824
+  @max_missing 10_000_000
 
   @typedoc """
   A column in a batch: `presence` is its validity bitmap, or `nil` if no value is missing; `children` are the nested
@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Arrow.Values do
   def read_rows(%{rows: rows}, from, n) when from < 0 or n < 0 or from + n > rows,
     do: throw_malformed("a list extends beyond its items")
 
-  def read_rows(%{type: :null, rows: rows}, _from, n) when rows <= @most_missing,
+  def read_rows(%{type: :null, rows: rows}, _from, n) when rows <= @max_missing,
     do: List.duplicate(nil, n)
 
   def read_rows(%{type: :null, rows: rows}, _from, _n),
@@ -79,7 +79,7 @@ defmodule Situ.Bridge.Arrow.Values do
     [{key, _}, {value, _}] = pairs.children
 
     for pairs <- read_lists(ends, 32, {from, n}, pairs),
-        do: for(%{^key => name, ^value => held} <- pairs, into: %{}, do: {name, held})
+        do: for(%{^key => name, ^value => member} <- pairs, into: %{}, do: {name, member})
   end
 
   defp read_nested(type, %{buffers: buffers}, from, n), do: read_flat(type, buffers, from, n)
@@ -160,8 +160,8 @@ defmodule Situ.Bridge.Arrow.Values do
   defp read_flat({:view, kind}, [views | data], from, n) do
     views = record_bytes(views, from, n, 128)
     # Views may overlap, so a small file could describe a huge amount of data.
-    all = for <<size::little-32, _::96 <- views>>, reduce: 0, do: (sum -> sum + size)
-    if all > @most, do: throw_malformed("the strings of one batch have #{all} bytes")
+    total = for <<size::little-32, _::96 <- views>>, reduce: 0, do: (sum -> sum + size)
+    if total > @max_bytes, do: throw_malformed("the strings of one batch have #{total} bytes")
     data = List.to_tuple(data)
     for <<view::binary-16 <- views>>, do: resolve_view(kind, view, data)
   end
@@ -173,9 +173,9 @@ defmodule Situ.Bridge.Arrow.Values do
   defp resolve_view(kind, <<n::little-32, bytes::binary-12>>, _data) when n <= 12,
     do: kind |> slice_text(bytes, 0, n) |> :binary.copy()
 
-  defp resolve_view(kind, <<n::little-32, _prefix::32, which::little-32, at::little-32>>, data)
-       when which < tuple_size(data),
-       do: slice_text(kind, data |> elem(which) |> Buffer.read_bytes(at, n), 0, n)
+  defp resolve_view(kind, <<n::little-32, _prefix::32, index::little-32, at::little-32>>, data)
+       when index < tuple_size(data),
+       do: slice_text(kind, data |> elem(index) |> Buffer.read_bytes(at, n), 0, n)
 
   defp resolve_view(_kind, _view, _data),
     do: throw_malformed("a string is in a buffer that does not exist")
@@ -191,12 +191,12 @@ defmodule Situ.Bridge.Arrow.Values do
   defp slice_text(_kind, _bytes, _at, _n), do: throw_malformed("a string is outside its buffer")
 
   defp read_bits(buffer, from, n) do
-    before = rem(from, 8)
+    skipped = rem(from, 8)
 
     buffer
-    |> Buffer.read_bytes(div(from, 8), div(before + n + 7, 8))
+    |> Buffer.read_bytes(div(from, 8), div(skipped + n + 7, 8))
     |> Column.unpack_bits()
-    |> Enum.slice(before, n)
+    |> Enum.slice(skipped, n)
   end
 
   defp record_bytes(buffer, from, n, bits),

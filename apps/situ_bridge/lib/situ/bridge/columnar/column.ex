@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Columnar.Column do
   """
   @type values :: [term()] | {:bytes, binary(), pos_integer()}
 
-  @special %{
+  @special_floats %{
     nan: <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>,
     infinity: <<0, 0, 0, 0, 0, 0, 0xF0, 0x7F>>,
     neg_infinity: <<0, 0, 0, 0, 0, 0, 0xF0, 0xFF>>
@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Columnar.Column do
   def pack_values(:float, values) do
     for x <- values,
         into: <<>>,
-        do: if(is_number(x), do: <<x::little-float-64>>, else: @special[x])
+        do: if(is_number(x), do: <<x::little-float-64>>, else: @special_floats[x])
   end
 
   def pack_values(:boolean, values),
@@ -49,12 +49,14 @@ defmodule Situ.Bridge.Columnar.Column do
     do: [<<h::1, g::1, f::1, e::1, d::1, c::1, b::1, a::1>> | pack_bits(rest)]
 
   def pack_bits(<<>>), do: []
-  def pack_bits(few), do: pack_bits(<<few::bitstring, 0::size(8 - bit_size(few))>>)
+
+  def pack_bits(last_bits),
+    do: pack_bits(<<last_bits::bitstring, 0::size(8 - bit_size(last_bits))>>)
 
   @doc "Unpacks bits as booleans, starting with the lowest bit of a byte."
   @spec unpack_bits(binary()) :: [boolean()]
-  def unpack_bits(packed) do
-    for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- packed>>,
+  def unpack_bits(bytes) do
+    for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- bytes>>,
         bit <- [h, g, f, e, d, c, b, a],
         do: bit == 1
   end

@@ -12,22 +12,24 @@ defmodule Situ.Bridge.Columnar.ColumnNames do
   @spec number_duplicates([column]) :: [column]
         when column: %{required(:name) => String.t(), optional(atom()) => term()}
   def number_duplicates(columns) do
-    taken = MapSet.new(columns, & &1.name)
-    {columns, _} = Enum.map_reduce(columns, {MapSet.new(), taken, %{}}, &rename_duplicate/2)
+    all_names = MapSet.new(columns, & &1.name)
+    {columns, _} = Enum.map_reduce(columns, {MapSet.new(), all_names, %{}}, &rename_duplicate/2)
     columns
   end
 
-  defp rename_duplicate(%{name: name} = column, {seen, taken, numbers}) do
-    if name in seen do
-      {free, n} = free_name(name, taken, Map.get(numbers, name, 0) + 1)
-      {%{column | name: free}, {seen, MapSet.put(taken, free), Map.put(numbers, name, n)}}
+  defp rename_duplicate(%{name: name} = column, {previous, all_names, numbers}) do
+    if name in previous do
+      {new_name, n} = free_name(name, all_names, Map.get(numbers, name, 0) + 1)
+
+      {%{column | name: new_name},
+       {previous, MapSet.put(all_names, new_name), Map.put(numbers, name, n)}}
     else
-      {column, {MapSet.put(seen, name), taken, numbers}}
+      {column, {MapSet.put(previous, name), all_names, numbers}}
     end
   end
 
-  defp free_name(name, taken, n) do
-    free = "#{name}_#{n}"
-    if free in taken, do: free_name(name, taken, n + 1), else: {free, n}
+  defp free_name(name, all_names, n) do
+    new_name = "#{name}_#{n}"
+    if new_name in all_names, do: free_name(name, all_names, n + 1), else: {new_name, n}
   end
 end

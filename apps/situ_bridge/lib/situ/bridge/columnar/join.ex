@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Columnar.Join do
   # with the nearest (or latest) value of every other stream.
   alias Situ.{Message, Store}
 
-  @rows 10_000
+  @batch_rows 10_000
 
   @options [
     on: [type: :string, required: true, doc: "The stream whose messages become the rows."],
@@ -34,16 +34,16 @@ defmodule Situ.Bridge.Columnar.Join do
   `names` are the streams to join to `on`; `reading` are options of `Situ.Store.messages/3`.
   """
   @spec stream_parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
-  def stream_parts(store, on, names, opts, reading) do
+  def stream_parts(store, on, names, opts, read_opts) do
     store
-    |> Store.messages(on, reading)
-    |> Stream.chunk_every(@rows)
+    |> Store.messages(on, read_opts)
+    |> Stream.chunk_every(@batch_rows)
     |> Stream.map(fn rows ->
       times = Enum.map(rows, & &1.originating_time)
-      picked = for name <- names, do: pick_values(store, name, times, opts, reading)
+      columns = for name <- names, do: pick_values(store, name, times, opts, read_opts)
 
       rows
-      |> Enum.zip(zip_streams(picked, length(rows)))
+      |> Enum.zip(zip_streams(columns, length(rows)))
       |> Enum.map(fn {message, values} ->
         others = names |> Enum.zip(values) |> Map.new()
         %{message | data: Map.put(others, on, message.data)}
@@ -52,41 +52,43 @@ defmodule Situ.Bridge.Columnar.Join do
   end
 
   defp zip_streams([], n), do: List.duplicate([], n)
-  defp zip_streams(picked, _n), do: Enum.zip_with(picked, & &1)
+  defp zip_streams(columns, _n), do: Enum.zip_with(columns, & &1)
 
   # Reads the messages of the other stream once and keeps only the picked values.
-  defp pick_values(store, name, [first | _] = times, opts, reading) do
+  defp pick_values(store, name, [first | _] = times, opts, read_opts) do
     last = List.last(times)
-    between = Keyword.merge(Keyword.take(reading, [:skip_damage]), from: first, to: last)
-    before = message_or_nil(Store.latest_at(store, name, first - 1))
+    range = Keyword.merge(Keyword.take(read_opts, [:skip_damage]), from: first, to: last)
+    previous = message_or_nil(Store.latest_at(store, name, first - 1))
 
-    {done, left, held} =
+    {values, remaining, latest} =
       store
-      |> Store.messages(name, between)
-      |> Enum.reduce({[], times, before}, fn message, {done, left, held} ->
-        {now, left} = Enum.split_while(left, &(&1 < message.originating_time))
-        {Enum.reduce(now, done, &[pick_value(held, message, &1, opts) | &2]), left, message}
+      |> Store.messages(name, range)
+      |> Enum.reduce({[], times, previous}, fn message, {values, remaining, latest} ->
+        {due, remaining} = Enum.split_while(remaining, &(&1 < message.originating_time))
+
+        {Enum.reduce(due, values, &[pick_value(latest, message, &1, opts) | &2]), remaining,
+         message}
       end)
 
-    behind = if left != [], do: message_or_nil(Store.first_at(store, name, last + 1))
-    done = Enum.reduce(left, done, &[pick_value(held, behind, &1, opts) | &2])
-    Enum.reverse(done)
+    following = if remaining != [], do: message_or_nil(Store.first_at(store, name, last + 1))
+    values = Enum.reduce(remaining, values, &[pick_value(latest, following, &1, opts) | &2])
+    Enum.reverse(values)
   end
 
   defp message_or_nil({:ok, %Message{} = message}), do: message
   defp message_or_nil(_), do: nil
 
-  defp pick_value(held, next, time, opts) do
-    one = if opts[:take] == :latest, do: held, else: nearest_message(held, next, time)
-    if one && within_range?(one, time, opts[:within]), do: one.data
+  defp pick_value(latest, next, time, opts) do
+    match = if opts[:take] == :latest, do: latest, else: nearest_message(latest, next, time)
+    if match && within_range?(match, time, opts[:within]), do: match.data
   end
 
   defp nearest_message(nil, next, _time), do: next
-  defp nearest_message(held, nil, _time), do: held
+  defp nearest_message(latest, nil, _time), do: latest
 
-  defp nearest_message(held, next, time),
-    do: if(next.originating_time - time < time - held.originating_time, do: next, else: held)
+  defp nearest_message(latest, next, time),
+    do: if(next.originating_time - time < time - latest.originating_time, do: next, else: latest)
 
   defp within_range?(_one, _time, nil), do: true
-  defp within_range?(one, time, within), do: abs(one.originating_time - time) <= within
+  defp within_range?(match, time, within), do: abs(match.originating_time - time) <= within
 end

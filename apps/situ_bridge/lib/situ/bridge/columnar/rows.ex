@@ -7,8 +7,8 @@ defmodule Situ.Bridge.Columnar.Rows do
   alias Situ.Bridge.Format.Value
   alias Situ.Store.Columns
 
-  @special [:nan, :infinity, :neg_infinity]
-  @most_columns 1_000
+  @special_floats [:nan, :infinity, :neg_infinity]
+  @max_columns 1_000
 
   @type kinds :: %{String.t() => Column.kind() | nil}
 
@@ -31,14 +31,14 @@ defmodule Situ.Bridge.Columnar.Rows do
 
   defp merge_kind(kinds, name, kind) do
     case kinds do
-      %{^name => known} -> put_kind(kinds, name, known, common_kind(known, kind))
-      _ when map_size(kinds) >= @most_columns -> throw({:not_writable, :too_many_columns})
+      %{^name => current} -> put_kind(kinds, name, current, common_kind(current, kind))
+      _ when map_size(kinds) >= @max_columns -> throw({:not_writable, :too_many_columns})
       _ -> Map.put(kinds, name, kind)
     end
   end
 
   defp put_kind(kinds, _name, same, same), do: kinds
-  defp put_kind(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
+  defp put_kind(kinds, name, _current, merged), do: Map.put(kinds, name, merged)
 
   @doc "Returns the columns that follow the times, sorted by name. A column without any values has the type text."
   @spec build_columns(kinds()) :: [Column.t()]
@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Columnar.Rows do
 
   defp cell_value(nil, _kind), do: nil
   defp cell_value(n, kind) when kind == :integer and is_integer(n), do: n
-  defp cell_value(x, :float) when is_number(x) or x in @special, do: x
+  defp cell_value(x, :float) when is_number(x) or x in @special_floats, do: x
   defp cell_value(b, :boolean) when is_boolean(b), do: b
   defp cell_value(bytes, kind) when kind in [:text, :bytes] and is_binary(bytes), do: bytes
   defp cell_value(value, _kind), do: value |> Value.to_plain() |> Situ.JSON.encode()
@@ -69,7 +69,7 @@ defmodule Situ.Bridge.Columnar.Rows do
   defp value_kind(n) when is_integer(n) and n in -0x8000000000000000..0x7FFFFFFFFFFFFFFF,
     do: :integer
 
-  defp value_kind(x) when is_float(x) or x in @special, do: :float
+  defp value_kind(x) when is_float(x) or x in @special_floats, do: :float
 
   defp value_kind(bytes) when is_binary(bytes),
     do: if(String.valid?(bytes), do: :text, else: :bytes)

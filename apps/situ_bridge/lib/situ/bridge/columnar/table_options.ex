@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Columnar.TableOptions do
   alias Situ.Bridge.Columnar.Join
   alias Situ.Options
 
-  @reading [:from, :to, :skip_damage, :progress]
+  @read_keys [:from, :to, :skip_damage, :progress]
 
   @doc "Returns the options of an export. `group` is the format's name for a group of rows."
   @spec export_options(group :: String.t()) :: Options.schema()
@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Columnar.TableOptions do
 
   # The store validates the options of reading.
   defp validate!(opts, schema) do
-    {reading, opts} = Keyword.split(opts, @reading)
-    Options.validate!(opts, schema) ++ reading
+    {read_opts, opts} = Keyword.split(opts, @read_keys)
+    Options.validate!(opts, schema) ++ read_opts
   end
 end

@@ -29,15 +29,15 @@ defmodule Situ.Bridge.Format.Csv do
     if Enum.map(columns, &elem(&1, 0)) == names do
       encode_row(time, Enum.map(columns, &elem(&1, 1)))
     else
-      beyond = Enum.find(columns, fn {name, held} -> held != nil and name not in names end)
-      if beyond, do: throw({:not_writable, {:no_column, elem(beyond, 0), value}})
+      extra = Enum.find(columns, fn {name, field} -> field != nil and name not in names end)
+      if extra, do: throw({:not_writable, {:no_column, elem(extra, 0), value}})
       columns = Map.new(columns)
       encode_row(time, Enum.map(names, &columns[&1]))
     end
   end
 
   @impl true
-  def headed(value), do: {1, value |> named_fields() |> Enum.map(&elem(&1, 0))}
+  def first_position(value), do: {1, value |> named_fields() |> Enum.map(&elem(&1, 0))}
 
   defp named_fields(value), do: value |> prepare_value() |> value_columns()
 
@@ -45,8 +45,8 @@ defmodule Situ.Bridge.Format.Csv do
     do: Row.encode_row([TimeFormat.to_iso8601(time) | Enum.map(fields, &format_field/1)])
 
   @impl true
-  def columns(%{kind: kind, times: times, values: values}, place) do
-    heading = if place == 0, do: Row.encode_row([@time, @value]), else: []
+  def columns(%{kind: kind, times: times, values: values}, position) do
+    heading = if position == 0, do: Row.encode_row([@time, @value]), else: []
     [heading, Native.csv_lines(kind, times, values)]
   end
 
@@ -84,7 +84,7 @@ defmodule Situ.Bridge.Format.Csv do
   @impl true
   def decode(bytes, opts) do
     case split(bytes, start(), true, opts) do
-      {:ok, [timed], _} -> {:ok, timed}
+      {:ok, [message], _} -> {:ok, message}
       {:ok, [], _} -> {:error, "it has no record"}
       {:ok, _more, _} -> {:error, "it has more than one record"}
       error -> error
@@ -107,28 +107,30 @@ defmodule Situ.Bridge.Format.Csv do
 
   def split(bytes, names, last?, opts), do: parse_records(bytes, names, last?, opts, [])
 
-  defp parse_records(bytes, names, last?, opts, found) do
+  defp parse_records(bytes, names, last?, opts, messages) do
     case Row.parse_row(bytes, last?) do
       {:ok, [""], rest} ->
-        parse_records(rest, names, last?, opts, found)
+        parse_records(rest, names, last?, opts, messages)
 
       {:ok, [stamp | fields], rest} ->
         case parse_record(stamp, fields, names, opts) do
-          {:ok, timed} -> parse_records(rest, names, last?, opts, [timed | found])
-          {:error, why} -> stop_at_error(why, bytes, names, found)
+          {:ok, message} -> parse_records(rest, names, last?, opts, [message | messages])
+          {:error, why} -> stop_at_error(why, bytes, names, messages)
         end
 
       :more ->
-        {:ok, Enum.reverse(found), {if(last?, do: "", else: bytes), names}}
+        {:ok, Enum.reverse(messages), {if(last?, do: "", else: bytes), names}}
 
       {:error, why} ->
-        stop_at_error(why, bytes, names, found)
+        stop_at_error(why, bytes, names, messages)
     end
   end
 
   # Messages before an error are emitted first; the error is returned by the next call.
   defp stop_at_error(why, _bytes, _names, []), do: {:error, why}
-  defp stop_at_error(_why, bytes, names, found), do: {:ok, Enum.reverse(found), {bytes, names}}
+
+  defp stop_at_error(_why, bytes, names, messages),
+    do: {:ok, Enum.reverse(messages), {bytes, names}}
 
   defp parse_record(stamp, fields, names, opts) do
     with {:ok, time} <- Situ.Time.parse(stamp), true <- length(fields) == length(names) do

@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Format.Json do
   alias Situ.Bridge.Format.{TimeFormat, Value}
 
   # Real messages are not larger than this; without a limit, an unclosed bracket would fill the memory.
-  @most 64 * 1024 * 1024
+  @max_message 64 * 1024 * 1024
 
   @impl true
   def encode(value, time) do
@@ -47,55 +47,57 @@ defmodule Situ.Bridge.Format.Json do
   @impl true
   def split(bytes, state, last?, opts), do: split_messages(bytes, state, last?, opts, [])
 
-  defp split_messages(<<c, rest::binary>>, state, last?, opts, found) when c in ~c" \t\r\n",
-    do: split_messages(rest, state, last?, opts, found)
+  defp split_messages(<<c, rest::binary>>, state, last?, opts, messages) when c in ~c" \t\r\n",
+    do: split_messages(rest, state, last?, opts, messages)
 
-  defp split_messages(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, found),
-    do: split_messages(rest, :before, last?, opts, found)
+  defp split_messages(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, messages),
+    do: split_messages(rest, :before, last?, opts, messages)
 
-  defp split_messages("[" <> rest, :before, last?, opts, found),
-    do: split_messages(rest, :first, last?, opts, found)
+  defp split_messages("[" <> rest, :before, last?, opts, messages),
+    do: split_messages(rest, :first, last?, opts, messages)
 
-  defp split_messages("]" <> rest, state, last?, opts, found) when state in [:first, :next],
-    do: split_messages(rest, :behind, last?, opts, found)
+  defp split_messages("]" <> rest, state, last?, opts, messages) when state in [:first, :next],
+    do: split_messages(rest, :behind, last?, opts, messages)
 
-  defp split_messages("," <> rest, :next, last?, opts, found),
-    do: split_messages(rest, :within, last?, opts, found)
+  defp split_messages("," <> rest, :next, last?, opts, messages),
+    do: split_messages(rest, :within, last?, opts, messages)
 
-  defp split_messages("{" <> _ = bytes, state, last?, opts, found)
+  defp split_messages("{" <> _ = bytes, state, last?, opts, messages)
        when state in [:first, :within] do
     case object_size(bytes) do
       {:ok, size} ->
         <<text::binary-pinned_size(size), rest::binary>> = bytes
 
-        with {:ok, timed} <- decode(text, opts),
-             do: split_messages(rest, :next, last?, opts, [timed | found])
+        with {:ok, message} <- decode(text, opts),
+             do: split_messages(rest, :next, last?, opts, [message | messages])
 
-      :more when byte_size(bytes) > @most ->
-        {:error, "a message is longer than #{@most} bytes"}
+      :more when byte_size(bytes) > @max_message ->
+        {:error, "a message is longer than #{@max_message} bytes"}
 
       :more when last? ->
-        end_of_file(found)
+        end_of_file(messages)
 
       :more ->
-        {:ok, Enum.reverse(found), {bytes, state}}
+        {:ok, Enum.reverse(messages), {bytes, state}}
     end
   end
 
-  defp split_messages("", :behind, _last?, _opts, found),
-    do: {:ok, Enum.reverse(found), {"", :behind}}
+  defp split_messages("", :behind, _last?, _opts, messages),
+    do: {:ok, Enum.reverse(messages), {"", :behind}}
 
-  defp split_messages("", _state, true, _opts, found), do: end_of_file(found)
-  defp split_messages("", state, false, _opts, found), do: {:ok, Enum.reverse(found), {"", state}}
+  defp split_messages("", _state, true, _opts, messages), do: end_of_file(messages)
+
+  defp split_messages("", state, false, _opts, messages),
+    do: {:ok, Enum.reverse(messages), {"", state}}
 
   defp split_messages(<<c, _::binary>>, _state, _last?, _opts, []),
     do: {:error, "it has #{inspect(<<c>>)} where a message, a comma or the end is expected"}
 
-  defp split_messages(bytes, state, _last?, _opts, found),
-    do: {:ok, Enum.reverse(found), {bytes, state}}
+  defp split_messages(bytes, state, _last?, _opts, messages),
+    do: {:ok, Enum.reverse(messages), {bytes, state}}
 
   # A truncated file, whose writer was killed, ends after its last complete message.
-  defp end_of_file(found), do: {:ok, Enum.reverse(found), {"", :behind}}
+  defp end_of_file(messages), do: {:ok, Enum.reverse(messages), {"", :behind}}
 
   # Returns the length of the object at the beginning of `bytes`.
   defp object_size(bytes), do: object_size(bytes, 0, 0)

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Format.JsonLines do
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.Json
 
-  @most 64 * 1024 * 1024
+  @max_line 64 * 1024 * 1024
 
   @impl true
   defdelegate encode(value, time), to: Json
@@ -22,42 +22,40 @@ defmodule Situ.Bridge.Format.JsonLines do
   def split(bytes, _state, last?, opts) do
     {lines, rest} = split_lines(bytes, last?)
 
-    cond do
-      byte_size(rest) > @most -> {:error, "a line is longer than #{@most} bytes"}
-      true -> decode_lines(lines, rest, last?, opts, [])
-    end
+    if byte_size(rest) > @max_line,
+      do: {:error, "a line is longer than #{@max_line} bytes"},
+      else: decode_lines(lines, rest, last?, opts, [])
   end
 
   defp split_lines(bytes, true), do: {String.split(bytes, "\n"), ""}
 
   defp split_lines(bytes, false) do
-    {rest, lines} =
-      bytes |> String.split("\n") |> List.pop_at(-1) |> then(fn {r, l} -> {r, l} end)
-
+    {rest, lines} = bytes |> String.split("\n") |> List.pop_at(-1)
     {lines, rest}
   end
 
-  defp decode_lines([], rest, _last?, _opts, found), do: {:ok, Enum.reverse(found), {rest, nil}}
+  defp decode_lines([], rest, _last?, _opts, messages),
+    do: {:ok, Enum.reverse(messages), {rest, nil}}
 
-  defp decode_lines([line | lines], rest, last?, opts, found) do
+  defp decode_lines([line | lines], rest, last?, opts, messages) do
     case {String.trim(line), lines} do
       {"", _} ->
-        decode_lines(lines, rest, last?, opts, found)
+        decode_lines(lines, rest, last?, opts, messages)
 
       {text, lines} ->
         case decode(text, opts) do
-          {:ok, timed} ->
-            decode_lines(lines, rest, last?, opts, [timed | found])
+          {:ok, message} ->
+            decode_lines(lines, rest, last?, opts, [message | messages])
 
           # A truncated last line has no line break.
           {:error, _} when last? and lines == [] ->
-            {:ok, Enum.reverse(found), {"", nil}}
+            {:ok, Enum.reverse(messages), {"", nil}}
 
-          {:error, why} when found == [] ->
+          {:error, why} when messages == [] ->
             {:error, why}
 
           {:error, _} ->
-            {:ok, Enum.reverse(found), {Enum.join([line | lines] ++ [rest], "\n"), nil}}
+            {:ok, Enum.reverse(messages), {Enum.join([line | lines] ++ [rest], "\n"), nil}}
         end
     end
   end

@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Format.MessagePack do
   @impl true
   def encode(value, time) do
     {ticks, rest} = TimeFormat.to_ticks(time)
-    fine = if rest == 0, do: [], else: [{"nanoseconds", rest}]
-    MessagePack.encode({[{"message", convert_value(value)}, {"originatingTime", ticks}] ++ fine})
+    extra = if rest == 0, do: [], else: [{"nanoseconds", rest}]
+    MessagePack.encode({[{"message", convert_value(value)}, {"originatingTime", ticks}] ++ extra})
   end
 
   defp convert_value(value) when value in [:nan, :infinity, :neg_infinity], do: value

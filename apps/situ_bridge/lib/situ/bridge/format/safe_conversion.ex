@@ -11,8 +11,8 @@ defmodule Situ.Bridge.Format.SafeConversion do
       {{:ok, 1}, :error}
   """
   @spec try_build((() -> result)) :: result | :error when result: term()
-  def try_build(make) do
-    make.()
+  def try_build(fun) do
+    fun.()
   rescue
     _ in [
       ArgumentError,

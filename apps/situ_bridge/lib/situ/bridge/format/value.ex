@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Format.Value do
   @moduledoc false
   # Shared by all formats: converts terms to objects with ordered members, and back.
 
-  @special %{nan: "NaN", infinity: "Infinity", neg_infinity: "-Infinity"}
+  @special_floats %{nan: "NaN", infinity: "Infinity", neg_infinity: "-Infinity"}
 
   @doc """
   Converts a term: objects become ordered pairs with string keys, special numbers become strings, and the fields of a
@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Format.Value do
   @spec to_plain(term()) :: term()
   def to_plain(nil), do: nil
   def to_plain(value) when is_boolean(value) or is_number(value) or is_binary(value), do: value
-  def to_plain(value) when is_map_key(@special, value), do: @special[value]
+  def to_plain(value) when is_map_key(@special_floats, value), do: @special_floats[value]
   def to_plain(value) when is_atom(value), do: Atom.to_string(value)
   def to_plain({pairs}) when is_list(pairs), do: {Enum.map(pairs, &plain_pair/1)}
   def to_plain(list) when is_list(list), do: Enum.map(list, &to_plain/1)

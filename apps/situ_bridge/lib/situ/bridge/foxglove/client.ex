@@ -7,16 +7,16 @@ defmodule Situ.Bridge.Foxglove.Client do
   alias Situ.Bridge.Net.SendQueue
   alias Situ.Bridge.WebSocket.{Frames, Handshake}
 
-  @every 20
-  @admission 5_000
-  @most 1_000_000
+  @tick_ms 20
+  @admission_ms 5_000
+  @max_message 1_000_000
   @message_ms 30_000
 
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
   @impl true
   def init(args) do
-    Process.send_after(self(), :too_slow, @admission)
+    Process.send_after(self(), :too_slow, @admission_ms)
 
     state = %{
       tcp: nil,
@@ -43,19 +43,24 @@ defmodule Situ.Bridge.Foxglove.Client do
            origins: state.origins,
            protocols: Session.supported_protocols()
          ) do
-      {:ok, answer, protocol, _path, rest} ->
-        open_session(answer, protocol, %{state | received_bytes: rest})
+      {:ok, response, protocol, _path, rest} ->
+        open_session(response, protocol, %{state | received_bytes: rest})
 
       :more ->
         resume_reading(%{state | received_bytes: received_bytes})
 
-      {:refuse, answer} ->
-        send_bytes(answer, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
+      {:refuse, response} ->
+        send_bytes(response, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
     end
   end
 
   def handle_info({:tcp, _, bytes}, state) do
-    case Frames.split_messages(state.received_bytes <> bytes, state.partial_message, true, @most) do
+    case Frames.split_messages(
+           state.received_bytes <> bytes,
+           state.partial_message,
+           true,
+           @max_message
+         ) do
       {:ok, events, rest, partial_message} ->
         handle_events(
           events,
@@ -81,7 +86,7 @@ defmodule Situ.Bridge.Foxglove.Client do
     {frames, session} = Session.tick(state.session, System.monotonic_time(:nanosecond))
 
     send_bytes(encode_frames(frames), %{state | session: session}, fn state ->
-      Process.send_after(self(), :tick, @every)
+      Process.send_after(self(), :tick, @tick_ms)
       {:noreply, state}
     end)
   end
@@ -95,38 +100,38 @@ defmodule Situ.Bridge.Foxglove.Client do
   defp limit_message(state, _events),
     do: %{state | deadline: :erlang.start_timer(state.message_ms, self(), :message)}
 
-  defp open_session(answer, protocol, state) do
+  defp open_session(response, protocol, state) do
     {frames, session} = Session.open(StoreChannels.new(state.store), state.name, protocol)
     send(self(), :tick)
-    send_bytes([answer | encode_frames(frames)], %{state | session: session}, &resume_reading/1)
+    send_bytes([response | encode_frames(frames)], %{state | session: session}, &resume_reading/1)
   end
 
   defp handle_events(events, state) do
     now = System.monotonic_time(:nanosecond)
 
     Enum.reduce_while(events, {[], state}, fn
-      {kind, _} = frame, {out, state} when kind in [:text, :binary] ->
+      {kind, _} = frame, {output, state} when kind in [:text, :binary] ->
         {frames, session} = Session.handle_frame(state.session, frame, now)
-        {:cont, {[out | encode_frames(frames)], %{state | session: session}}}
+        {:cont, {[output | encode_frames(frames)], %{state | session: session}}}
 
-      {:ping, data}, {out, state} ->
-        {:cont, {[out, Frames.encode_frame(:pong, data)], state}}
+      {:ping, data}, {output, state} ->
+        {:cont, {[output, Frames.encode_frame(:pong, data)], state}}
 
       {:pong, _}, acc ->
         {:cont, acc}
 
-      {:close, code}, {out, state} ->
+      {:close, code}, {output, state} ->
         {:halt,
          {:close,
-          [out, Frames.encode_frame(:close, binary_part(code, 0, min(byte_size(code), 2)))],
+          [output, Frames.encode_frame(:close, binary_part(code, 0, min(byte_size(code), 2)))],
           state}}
     end)
     |> case do
-      {:close, out, state} ->
-        send_bytes(out, state, fn state -> {:stop, {:shutdown, :closed}, state} end)
+      {:close, output, state} ->
+        send_bytes(output, state, fn state -> {:stop, {:shutdown, :closed}, state} end)
 
-      {out, state} ->
-        send_bytes(out, state, &resume_reading/1)
+      {output, state} ->
+        send_bytes(output, state, &resume_reading/1)
     end
   end
 

@@ -7,19 +7,19 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
   # The approximate limit of bytes sent in one tick; the playback waits for the rest.
-  @most_at_once 4_000_000
-  @look_every 1_000_000_000
+  @max_tick_bytes 4_000_000
+  @refresh_ns 1_000_000_000
   @parameters ~w(situ.paused situ.speed situ.position)
 
   defstruct [
     :source,
     :playback,
     :sdk?,
-    :looked,
+    :refreshed_at,
     subscriptions: %{},
     advertised_ids: MapSet.new(),
-    watched: MapSet.new(),
-    warned: MapSet.new()
+    watched_names: MapSet.new(),
+    warned_ids: MapSet.new()
   ]
 
   @type t :: %__MODULE__{}
@@ -105,13 +105,15 @@ defmodule Situ.Bridge.Foxglove.Session do
        when is_list(list) do
     {frames, session} = collect_frames(list, session, &set_parameter/2)
     names = for %{"name" => name} <- list, name in @parameters, do: name
-    answer = if message["id"], do: [parameter_values(session, names, message)], else: []
-    {frames ++ answer ++ parameter_updates(session, names), session}
+    reply = if message["id"], do: [parameter_values(session, names, message)], else: []
+    {frames ++ reply ++ parameter_updates(session, names), session}
   end
 
   defp handle_op(session, "subscribeParameterUpdates", %{"parameterNames" => names})
        when is_list(names),
-       do: {[], %{session | watched: Enum.into(known_parameters(names), session.watched)}}
+       do:
+         {[],
+          %{session | watched_names: Enum.into(known_parameters(names), session.watched_names)}}
 
   defp handle_op(session, "unsubscribeParameterUpdates", %{"parameterNames" => names})
        when is_list(names),
@@ -119,7 +121,8 @@ defmodule Situ.Bridge.Foxglove.Session do
          {[],
           %{
             session
-            | watched: MapSet.difference(session.watched, MapSet.new(known_parameters(names)))
+            | watched_names:
+                MapSet.difference(session.watched_names, MapSet.new(known_parameters(names)))
           }}
 
   defp handle_op(session, op, _message),
@@ -173,9 +176,11 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   # An error is reported once per subscription, even if it repeats.
   defp warn_once(session, id, why) do
-    if id in session.warned,
+    if id in session.warned_ids,
       do: {[], session},
-      else: {[Wire.encode_status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
+      else:
+        {[Wire.encode_status(1, why)],
+         %{session | warned_ids: MapSet.put(session.warned_ids, id)}}
   end
 
   # Parameters serve clients that do not support playback control.
@@ -197,7 +202,8 @@ defmodule Situ.Bridge.Foxglove.Session do
     )
   end
 
-  defp parameter_value(%{playback: p}, "situ.paused"), do: %{name: "situ.paused", value: p.paused}
+  defp parameter_value(%{playback: p}, "situ.paused"),
+    do: %{name: "situ.paused", value: p.paused?}
 
   defp parameter_value(%{playback: p}, "situ.speed"),
     do: %{name: "situ.speed", value: p.speed, type: "float64"}
@@ -229,16 +235,16 @@ defmodule Situ.Bridge.Foxglove.Session do
        ], session}
 
   defp parameter_updates(session, names) do
-    case Enum.filter(names, &(&1 in session.watched)) do
+    case Enum.filter(names, &(&1 in session.watched_names)) do
       [] -> []
       names -> [parameter_values(session, names, %{})]
     end
   end
 
   defp control_playback(%{sdk?: true} = session, command, speed, seek, id) do
-    {sought, session} = if seek, do: seek_playback(session, seek), else: {[], session}
+    {seek_frames, session} = if seek, do: seek_playback(session, seek), else: {[], session}
     {frames, session} = apply_command(session, command, speed)
-    {[playback_state(session.playback, seek != nil, id) | sought ++ frames], session}
+    {[playback_state(session.playback, seek != nil, id) | seek_frames ++ frames], session}
   end
 
   defp control_playback(session, _command, _speed, _seek, _id),
@@ -281,8 +287,8 @@ defmodule Situ.Bridge.Foxglove.Session do
   """
   @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
   def tick(session, now) do
-    {news, session} = refresh_source(session, now)
-    before = Playback.status(session.playback)
+    {channel_frames, session} = refresh_source(session, now)
+    status = Playback.status(session.playback)
     playback = advance_playback(session, now)
     {messages, session} = take_due_messages(%{session | playback: playback})
 
@@ -291,8 +297,8 @@ defmodule Situ.Bridge.Foxglove.Session do
         message_frames([message], session, id)
       end)
 
-    time = if before == :playing, do: [Wire.encode_time(session.playback.at)], else: []
-    {news ++ frames ++ time ++ report_end(session, before), session}
+    time = if status == :playing, do: [Wire.encode_time(session.playback.at)], else: []
+    {channel_frames ++ frames ++ time ++ report_end(session, status), session}
   end
 
   defp advance_playback(%{source: %{live?: true}} = session, _now) do
@@ -301,17 +307,20 @@ defmodule Situ.Bridge.Foxglove.Session do
     %{
       session.playback
       | to: to,
-        at: if(session.playback.paused, do: session.playback.at, else: to)
+        at: if(session.playback.paused?, do: session.playback.at, else: to)
     }
   end
 
   defp advance_playback(session, now), do: Playback.advance(session.playback, now)
 
   defp refresh_source(session, now) do
-    if session.looked == nil or (session.source.live? and now - session.looked >= @look_every),
-      do:
-        advertise_channels(%{session | source: StoreChannels.refresh(session.source), looked: now}),
-      else: {[], session}
+    if session.refreshed_at == nil or
+         (session.source.live? and now - session.refreshed_at >= @refresh_ns),
+       do:
+         session.source
+         |> StoreChannels.refresh()
+         |> then(&advertise_channels(%{session | source: &1, refreshed_at: now})),
+       else: {[], session}
   end
 
   defp report_end(%{sdk?: true} = session, :playing) do
@@ -334,37 +343,33 @@ defmodule Situ.Bridge.Foxglove.Session do
       end)
       |> Enum.unzip()
 
-    reached = Enum.min([at | ends])
+    limit = Enum.min([at | ends])
 
-    {messages, reached} =
-      lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(reached)
+    {messages, limit} =
+      lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(limit)
 
     subscriptions =
       Map.new(session.subscriptions, fn {id, {channel, from}} ->
-        {id, {channel, max(from, reached)}}
+        {id, {channel, max(from, limit)}}
       end)
 
-    {messages,
-     %{
-       session
-       | subscriptions: subscriptions,
-         playback: Playback.rewind_to(session.playback, reached)
-     }}
+    playback = Playback.rewind_to(session.playback, limit)
+    {messages, %{session | subscriptions: subscriptions, playback: playback}}
   end
 
-  defp limit_messages(messages, reached) do
+  defp limit_messages(messages, limit) do
     messages
-    |> Enum.take_while(&(elem(&1, 0) <= reached))
+    |> Enum.take_while(&(elem(&1, 0) <= limit))
     |> Enum.reduce_while({[], 0, nil}, fn {time, _, {_, result}} = message,
-                                          {taken, bytes, last} ->
+                                          {selected, bytes, last} ->
       # Messages with the same time are sent together.
-      if bytes > @most_at_once and time != last,
-        do: {:halt, {taken, :full, last}},
-        else: {:cont, {[message | taken], bytes + message_size(result), time}}
+      if bytes > @max_tick_bytes and time != last,
+        do: {:halt, {selected, :full, last}},
+        else: {:cont, {[message | selected], bytes + message_size(result), time}}
     end)
     |> case do
-      {taken, :full, last} -> {Enum.reverse(taken), last}
-      {taken, _bytes, _last} -> {Enum.reverse(taken), reached}
+      {selected, :full, last} -> {Enum.reverse(selected), last}
+      {selected, _bytes, _last} -> {Enum.reverse(selected), limit}
     end
   end
 

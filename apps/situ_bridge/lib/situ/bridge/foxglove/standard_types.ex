@@ -1,22 +1,7 @@
 defmodule Situ.Bridge.Foxglove.StandardTypes do
-  @moduledoc """
-  Converts between Foxglove's messages and Situ's types. Timestamps are written from originating times. Messages
-  without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) stay maps; see `Situ.Bridge.Protobuf`.
-
-  | Foxglove | Situ |
-  |---|---|
-  | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
-  | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
-  | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
-  | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
-  | `Pose`, `PoseInFrame` | `Situ.Pose` |
-  | `Point3`, `Vector3` | `Situ.Point3` |
-  | `CameraCalibration` | `Situ.CameraIntrinsics` |
-  | `LocationFix` | `Situ.GeoPoint` |
-  | `JointStates` | `Situ.JointState` |
-  | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
-  | `Log` | export only, from strings |
-  """
+  @moduledoc false
+  # Converts between Foxglove's messages and Situ's types. The documentation of `Situ.Bridge.Foxglove` lists the
+  # types. Timestamps are written from originating times.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Format.SafeConversion
   alias Situ.Bridge.Ros.{CameraInfo, Pixels, Sensors}
@@ -38,7 +23,7 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
 
   @package "foxglove."
   @float32 "FLOAT32"
-  @colours ~w(red green blue)
+  @colors ~w(red green blue)
 
   @doc "Returns the `Situ.Type` of the values that messages of a Foxglove type are converted to."
   @spec situ_type(String.t()) :: Situ.Type.t()
@@ -84,8 +69,10 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
   end
 
   defp build_value("FrameTransforms", %{"transforms" => list}) do
-    made = for m <- list, {:ok, transform} <- [build_value("FrameTransform", m)], do: transform
-    if length(made) == length(list), do: {:ok, made}, else: :error
+    transforms =
+      for m <- list, {:ok, transform} <- [build_value("FrameTransform", m)], do: transform
+
+    if length(transforms) == length(list), do: {:ok, transforms}, else: :error
   end
 
   defp build_value("PoseInFrame", %{"pose" => %{} = pose}), do: build_value("Pose", pose)
@@ -135,12 +122,12 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
   end
 
   defp parse_cloud(%{"point_stride" => step, "fields" => fields, "data" => data, "pose" => pose}) do
-    at = Map.new(fields, &{&1["name"], {&1["offset"], &1["type"]}})
+    layout = Map.new(fields, &{&1["name"], {&1["offset"], &1["type"]}})
 
     with true <- identity_pose?(pose) and step > 0 and rem(byte_size(data), step) == 0,
-         %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
+         %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- layout,
          true <- y == x + 4 and z == x + 8 and x + 12 <= step do
-      PointCloud.new(Pixels.slice_every(data, step, x, 12), read_colors(data, step, at))
+      PointCloud.new(Pixels.slice_every(data, step, x, 12), read_colors(data, step, layout))
     else
       _ -> :error
     end
@@ -152,8 +139,8 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
   defp identity_pose?(m),
     do: parse_pose(m["position"], m["orientation"]) == {:ok, Pose.identity()}
 
-  defp read_colors(data, step, at) do
-    with [r, g, b] <- for(c <- @colours, {o, "UINT8"} <- [at[c]], o < step, do: o) do
+  defp read_colors(data, step, layout) do
+    with [r, g, b] <- for(c <- @colors, {o, "UINT8"} <- [layout[c]], o < step, do: o) do
       for <<point::binary-pinned_size(step) <- data>>, into: <<>> do
         <<:binary.at(point, r), :binary.at(point, g), :binary.at(point, b)>>
       end
@@ -213,8 +200,8 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
   def to_message(_name, %Pose{} = pose, _time, _frame), do: encode_pose(pose)
   def to_message(_name, %Point3{x: x, y: y, z: z}, _time, _frame), do: encode_vector({x, y, z})
 
-  def to_message(_name, %CameraIntrinsics{} = optics, time, frame),
-    do: optics |> CameraInfo.to_message() |> put_frame(time, frame)
+  def to_message(_name, %CameraIntrinsics{} = intrinsics, time, frame),
+    do: intrinsics |> CameraInfo.to_message() |> put_frame(time, frame)
 
   def to_message(_name, %AudioBuffer{format: format, data: data}, time, _frame) do
     %{
@@ -226,14 +213,14 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
     }
   end
 
-  def to_message(_name, %GeoPoint{} = place, time, frame) do
-    {covariance, type} = Sensors.encode_covariance(place.accuracy)
+  def to_message(_name, %GeoPoint{} = location, time, frame) do
+    {covariance, type} = Sensors.encode_covariance(location.accuracy)
 
     put_frame(
       %{
-        "latitude" => place.latitude,
-        "longitude" => place.longitude,
-        "altitude" => place.height || :nan,
+        "latitude" => location.latitude,
+        "longitude" => location.longitude,
+        "altitude" => location.height || :nan,
         "position_covariance" => covariance,
         "position_covariance_type" => type
       },
@@ -292,8 +279,8 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
 
   defp encode_cloud(%PointCloud{colors: colors, points: points}) do
     fields = for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32})
-    more = for({name, i} <- Enum.with_index(@colours), do: {name, 12 + i, "UINT8"})
-    build_cloud(16, Pixels.interleave_points(points, colors), fields ++ more)
+    color_fields = for({name, i} <- Enum.with_index(@colors), do: {name, 12 + i, "UINT8"})
+    build_cloud(16, Pixels.interleave_points(points, colors), fields ++ color_fields)
   end
 
   defp build_cloud(step, data, fields) do

@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Foxglove.StoreChannels do
   @schema_encodings %{json: "jsonschema", ros1: "ros1msg", cdr: "ros2msg"}
   @encodings %{json: "json", ros1: "ros1", cdr: "cdr"}
   # The limit of messages read from one stream at a time.
-  @batch 500
+  @max_batch 500
 
   defstruct [:store, :live?, channels: %{}, skipped: %{}]
   @type t :: %__MODULE__{}
@@ -71,9 +71,9 @@ defmodule Situ.Bridge.Foxglove.StoreChannels do
   def messages_between(source, id, from, to) do
     {name, channel} = Map.fetch!(source.channels, id)
 
-    case Store.read(source.store, name, from: from + 1, to: to, limit: @batch) do
+    case Store.read(source.store, name, from: from + 1, to: to, limit: @max_batch) do
       {:ok, messages} ->
-        {Enum.map(messages, &encode_message(&1, channel)), length(messages) < @batch}
+        {Enum.map(messages, &encode_message(&1, channel)), length(messages) < @max_batch}
 
       {:error, error} ->
         {[{to, {:error, Exception.message(error)}}], true}

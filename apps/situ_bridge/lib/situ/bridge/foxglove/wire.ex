@@ -3,16 +3,16 @@ defmodule Situ.Bridge.Foxglove.Wire do
   # The messages of Foxglove's WebSocket protocol, for both subprotocols (https://github.com/foxglove/ws-protocol):
   # JSON texts with an `op`, and binary messages with an opcode and little-endian numbers. Pure.
 
-  @most_time 0xFFFFFFFFFFFFFFFF
+  @max_time 0xFFFFFFFFFFFFFFFF
 
   @type frame :: {:text | :binary, iodata()}
-  @type heard ::
+  @type request ::
           {:op, String.t(), map()}
           | {:playback, :play | :pause, speed :: float(), seek :: integer() | nil, id :: binary()}
           | {:error, String.t()}
 
   @doc "Parses a frame from a client."
-  @spec parse_frame({:text | :binary, binary()}) :: heard()
+  @spec parse_frame({:text | :binary, binary()}) :: request()
   def parse_frame({:text, text}) do
     case Situ.JSON.decode(text) do
       {:ok, %{"op" => op} = message} when is_binary(op) -> {:op, op, message}
@@ -74,5 +74,5 @@ defmodule Situ.Bridge.Foxglove.Wire do
   end
 
   # The protocol cannot represent times before 1970.
-  defp clamp_time(time), do: time |> max(0) |> min(@most_time)
+  defp clamp_time(time), do: time |> max(0) |> min(@max_time)
 end

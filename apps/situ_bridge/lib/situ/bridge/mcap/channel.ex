@@ -40,8 +40,8 @@ defmodule Situ.Bridge.Mcap.Channel do
     end
   end
 
-  defp no_type_error(topic, encoding, what) do
-    Error.new(:no_ros_type, "no standard #{what} fits the data of #{topic}",
+  defp no_type_error(topic, encoding, family) do
+    Error.new(:no_ros_type, "no standard #{family} fits the data of #{topic}",
       why: "the topic is to be encoded as #{encoding}, which needs a message type",
       fix: "name a type with `type:`, or write the topic with `encoding: :json`"
     )
@@ -158,8 +158,8 @@ defmodule Situ.Bridge.Mcap.Channel do
   defp encode_value(%{encoding: :json} = channel, data, _extra, _time) do
     {:ok, data |> Value.to_plain() |> ensure_object() |> Situ.JSON.encode()}
   catch
-    {:not_writable, what} ->
-      {:error, not_writable_error(channel, "JSON cannot represent #{inspect(what, limit: 5)}")}
+    {:not_writable, value} ->
+      {:error, not_writable_error(channel, "JSON cannot represent #{inspect(value, limit: 5)}")}
   end
 
   defp encode_value(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, extra, time) do

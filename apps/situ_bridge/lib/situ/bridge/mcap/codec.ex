@@ -11,11 +11,11 @@ defmodule Situ.Bridge.Mcap.Codec do
   # `by` is the definition or schema that bytes are decoded with. With `maps?`, standard messages stay maps with all
   # their fields.
   @enforce_keys [:kind]
-  defstruct [:kind, :by, :name, topic: "", maps?: false, extra?: false]
+  defstruct [:kind, :schema, :name, topic: "", maps?: false, extra?: false]
 
   @type t :: %__MODULE__{
           kind: :json | :bytes | :ros1 | :cdr | :protobuf,
-          by: Definition.t() | Protobuf.schema() | nil,
+          schema: Definition.t() | Protobuf.schema() | nil,
           name: String.t() | nil,
           topic: String.t(),
           maps?: boolean(),
@@ -61,7 +61,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   def new("protobuf", {name, "protobuf", set}, topic) do
     case Protobuf.parse_schema(set) do
       {:ok, %{messages: messages} = schema} when is_map_key(messages, name) ->
-        codec = %__MODULE__{kind: :protobuf, by: schema, name: name, topic: topic}
+        codec = %__MODULE__{kind: :protobuf, schema: schema, name: name, topic: topic}
         {codec, Foxglove.StandardTypes.situ_type(name), nil}
 
       {:ok, _} ->
@@ -76,11 +76,11 @@ defmodule Situ.Bridge.Mcap.Codec do
   end
 
   def new(encoding, schema, topic) do
-    what = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
+    description = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
 
     bytes_codec(
       topic,
-      "its messages are encoded as #{inspect(encoding)} (#{what}) and stay bytes"
+      "its messages are encoded as #{inspect(encoding)} (#{description}) and stay bytes"
     )
   end
 
@@ -89,8 +89,9 @@ defmodule Situ.Bridge.Mcap.Codec do
   defp ros_codec(name, text, encoding, topic) do
     case Definition.parse(name, text, if(encoding == :ros1, do: :ros1, else: :ros2)) do
       {:ok, definition} ->
-        codec = %__MODULE__{kind: encoding, by: definition, name: definition.name, topic: topic}
-        {codec, StandardTypes.situ_type(definition.name), nil}
+        name = definition.name
+        codec = %__MODULE__{kind: encoding, schema: definition, name: name, topic: topic}
+        {codec, StandardTypes.situ_type(name), nil}
 
       {:error, why} ->
         bytes_codec(topic, "its definition is invalid: #{why}")
@@ -99,7 +100,7 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   @doc "Returns the encoding of the header that the channel's messages begin with, or `nil` if they have none."
   @spec stamp_encoding(t()) :: :ros1_header | :cdr_header | nil
-  def stamp_encoding(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
+  def stamp_encoding(%{kind: kind, schema: definition}) when kind in [:ros1, :cdr] do
     case definition.types[definition.name].fields do
       [{_, {:message, "std_msgs/Header"}} | _] when kind == :cdr -> :cdr_header
       [{_, {:message, "std_msgs/Header"}} | _] -> :ros1_header
@@ -149,7 +150,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   end
 
   def decode(%{kind: :protobuf} = codec, bytes) do
-    with {:ok, message} <- Protobuf.Reader.decode(codec.by, codec.name, bytes) do
+    with {:ok, message} <- Protobuf.Reader.decode(codec.schema, codec.name, bytes) do
       if codec.maps?,
         do: {:ok, message},
         else: {:ok, Foxglove.StandardTypes.from_message(codec.name, message)}
@@ -170,7 +171,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   end
 
   defp decode_ros(codec, bytes) do
-    with {:ok, message} <- Wire.decode(codec.by, bytes, codec.kind) do
+    with {:ok, message} <- Wire.decode(codec.schema, bytes, codec.kind) do
       if codec.maps?,
         do: {:ok, message},
         else: {:ok, StandardTypes.from_message(codec.name, message, codec.topic)}

@@ -64,10 +64,10 @@ defmodule Situ.Bridge.Mcap.Copy do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, {copy, writer}} <- begin_copy(state, path, opts) do
       # The errors of a step name the original file, unless the disk is full.
-      with {:ok, copied} <- run_steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
+      with {:ok, summary} <- run_steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
            :ok <- Writer.write_extras(writer, opts, path),
            {:ok, _} <- NativeError.wrap_result(Native.mcap_finish(writer), path),
-           do: {:ok, copied}
+           do: {:ok, summary}
     end
   end
 
@@ -77,9 +77,9 @@ defmodule Situ.Bridge.Mcap.Copy do
 
     with {:ok, channels} <- channel_ids(state, opts[:streams]) do
       # A metadata record from the options replaces the records of that name.
-      replaced = for {name, _} <- opts[:metadata], do: to_string(name)
+      metadata_names = for {name, _} <- opts[:metadata], do: to_string(name)
       times = {opts[:from] || 0, opts[:to] || :unbounded}
-      selection = {channels, times, order, replaced, opts[:skip_damage]}
+      selection = {channels, times, order, metadata_names, opts[:skip_damage]}
 
       state.ref
       |> Native.mcap_copy_begin(path, packing, selection)

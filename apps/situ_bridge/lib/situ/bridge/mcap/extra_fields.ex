@@ -6,20 +6,20 @@ defmodule Situ.Bridge.Mcap.ExtraFields do
   alias Situ.{Message, Store, Time}
   alias Situ.Store.StreamInfo
 
-  @ending ".extra"
+  @suffix ".extra"
   # The numbers of these streams start above the numbers of channels and connections.
-  @number 0x1_0000_0000
+  @first_number 0x1_0000_0000
 
   @typedoc "The name of a type, the language of its definition, and the definition."
   @type schema :: {name :: String.t(), language :: String.t(), definition :: binary()}
 
   @doc "Returns the name of the second stream."
   @spec stream_name(String.t()) :: String.t()
-  def stream_name(name), do: name <> @ending
+  def stream_name(name), do: name <> @suffix
 
   @doc "Returns the number of the second stream."
   @spec stream_number(non_neg_integer()) :: non_neg_integer()
-  def stream_number(id), do: id + @number
+  def stream_number(id), do: id + @first_number
 
   @doc "Returns the metadata that an import stores with a stream: the original writer's pairs, and the schema."
   @spec build_metadata([{String.t(), String.t()}], schema() | nil) :: {String.t(), binary()} | nil
@@ -65,11 +65,11 @@ defmodule Situ.Bridge.Mcap.ExtraFields do
 
   def put_fields(message, extra) do
     Map.merge(message, extra, fn
-      _key, %{} = value, %{} = more when not is_struct(value) and not is_struct(more) ->
-        put_fields(value, more)
+      _key, %{} = value, %{} = override when not is_struct(value) and not is_struct(override) ->
+        put_fields(value, override)
 
-      _key, _value, more ->
-        more
+      _key, _value, override ->
+        override
     end)
   end
 

@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Mcap.Options do
         default: :auto,
         doc:
           "The message encoding. `:auto` selects ROS 1 if a standard message fits the data, otherwise JSON. `:cdr` " <>
-            "is ROS 2. `:protobuf` writes Foxglove's messages (`Situ.Bridge.Foxglove.StandardTypes`), or others " <>
+            "is ROS 2. `:protobuf` writes Foxglove's messages (`Situ.Bridge.Foxglove`), or others " <>
             "given by `definition:`."
       ],
       type: [

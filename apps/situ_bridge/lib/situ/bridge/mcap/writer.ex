@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   alias Situ.Error
 
   # `channels` maps topics to channels with the sequence number of the next message.
-  defstruct [:path, :ref, channels: %{}, count: 0, rows: [], waiting: 0, bytes: 0]
+  defstruct [:path, :ref, channels: %{}, count: 0, rows: [], row_count: 0, bytes: 0]
   @type t :: %__MODULE__{}
 
   @impl true
@@ -83,8 +83,8 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   defp each_ok(list, fun) do
-    Enum.reduce_while(list, :ok, fn one, :ok ->
-      case fun.(one) do
+    Enum.reduce_while(list, :ok, fn item, :ok ->
+      case fun.(item) do
         {:ok, _} -> {:cont, :ok}
         error -> {:halt, error}
       end
@@ -107,17 +107,17 @@ defmodule Situ.Bridge.Mcap.Writer do
         | channels: Map.put(writer.channels, topic, {channel, sequence + 1}),
           count: writer.count + 1,
           rows: [row | writer.rows],
-          waiting: writer.waiting + 1,
+          row_count: writer.row_count + 1,
           bytes: writer.bytes + byte_size(bytes)
       })
     end
   end
 
-  @most_waiting 500
-  @most_bytes 256 * 1024
+  @max_rows 500
+  @max_bytes 256 * 1024
 
-  defp flush_if_full(%{waiting: waiting, bytes: bytes} = writer)
-       when waiting < @most_waiting and bytes < @most_bytes,
+  defp flush_if_full(%{row_count: row_count, bytes: bytes} = writer)
+       when row_count < @max_rows and bytes < @max_bytes,
        do: {:ok, writer}
 
   defp flush_if_full(writer), do: flush_rows(writer)
@@ -128,7 +128,7 @@ defmodule Situ.Bridge.Mcap.Writer do
     rows = Enum.reverse(writer.rows)
 
     with {:ok, _} <- NativeError.wrap_result(Native.mcap_write(writer.ref, rows), writer.path),
-         do: {:ok, %{writer | rows: [], waiting: 0, bytes: 0}}
+         do: {:ok, %{writer | rows: [], row_count: 0, bytes: 0}}
   end
 
   defp check_time(_topic, time) when time in 0..0xFFFF_FFFF_FFFF_FFFF, do: {:ok, time}

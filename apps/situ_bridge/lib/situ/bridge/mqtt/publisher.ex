@@ -9,21 +9,22 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   alias Situ.Bridge.PeerSender
   @behaviour PeerSender
 
-  @first_wait 50
-  @longest_wait 5_000
-  @most 65_536
+  @min_wait_ms 50
+  @max_wait_ms 5_000
+  @max_packet 65_536
+  @max_id 65_535
 
   defstruct [
     :opts,
     :tcp,
-    :reported_error,
+    :logged_error,
     up?: false,
     was_up?: false,
     received_bytes: "",
-    wait: @first_wait,
+    wait_ms: @min_wait_ms,
     id: 0,
-    pending_messages: :queue.new(),
-    n: 0,
+    unconfirmed_messages: :queue.new(),
+    count: 0,
     dropped: 0
   ]
 
@@ -62,18 +63,13 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   # With QoS 0, messages are lost while the broker is unreachable, except before the first connection.
   def handle_call({:put, payload}, _from, %{opts: opts} = state) do
     cond do
-      opts[:qos] == 1 and state.n >= min(opts[:high_water_mark], @most - 1) ->
+      opts[:qos] == 1 and state.count >= min(opts[:high_water_mark], @max_id) ->
         {:reply, :full, state}
 
       opts[:qos] == 1 ->
-        id = rem(state.id, @most - 1) + 1
-
-        state = %{
-          state
-          | id: id,
-            n: state.n + 1,
-            pending_messages: :queue.in({id, payload}, state.pending_messages)
-        }
+        id = rem(state.id, @max_id) + 1
+        queue = :queue.in({id, payload}, state.unconfirmed_messages)
+        state = %{state | id: id, count: state.count + 1, unconfirmed_messages: queue}
 
         {:reply, :ok,
          if(state.up?,
@@ -93,14 +89,14 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     end
   end
 
-  def handle_call({:drain, until}, from, state) do
-    Drain.reply_when_drained(from, until, state.n)
+  def handle_call({:drain, deadline}, from, state) do
+    Drain.reply_when_drained(from, deadline, state.count)
     {:noreply, state}
   end
 
-  defp encode_publish({id, payload}, again?, opts) do
-    given = [qos: 1, id: id, retain: opts[:retain], again: again?]
-    Wire.encode_publish(opts[:topic], payload, given)
+  defp encode_publish({id, payload}, duplicate?, opts) do
+    fields = [qos: 1, id: id, retain: opts[:retain], duplicate: duplicate?]
+    Wire.encode_publish(opts[:topic], payload, fields)
   end
 
   @impl true
@@ -114,8 +110,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     end
   end
 
-  def handle_info({:drain, from, until}, state) do
-    Drain.reply_when_drained(from, until, state.n)
+  def handle_info({:drain, from, deadline}, state) do
+    Drain.reply_when_drained(from, deadline, state.count)
     {:noreply, state}
   end
 
@@ -130,7 +126,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
         if state.tcp, do: ClientSocket.activate_once(state.tcp)
         {:noreply, state}
 
-      {:gone, reason} ->
+      {:disconnected, reason} ->
         {:noreply, schedule_reconnect(state, reason)}
 
       :other ->
@@ -141,7 +137,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp handle_packets(%{tcp: nil} = state), do: state
 
   defp handle_packets(state) do
-    case Wire.parse_packet(state.received_bytes, @most) do
+    case Wire.parse_packet(state.received_bytes, @max_packet) do
       {:ok, packet, rest} ->
         packet |> handle_packet(%{state | received_bytes: rest}) |> handle_packets()
 
@@ -154,9 +150,9 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   defp handle_packet({:connack, 0}, state) do
-    state = %{state | up?: true, was_up?: true, wait: @first_wait, reported_error: nil}
-    waiting = :queue.to_list(state.pending_messages)
-    send_packet(Enum.map(waiting, &encode_publish(&1, true, state.opts)), state)
+    state = %{state | up?: true, was_up?: true, wait_ms: @min_wait_ms, logged_error: nil}
+    messages = :queue.to_list(state.unconfirmed_messages)
+    send_packet(Enum.map(messages, &encode_publish(&1, true, state.opts)), state)
   end
 
   defp handle_packet({:connack, code}, state),
@@ -164,14 +160,17 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # A broker nearly always acknowledges messages in order.
   defp handle_packet({:puback, id}, state) do
-    case :queue.peek(state.pending_messages) do
+    case :queue.peek(state.unconfirmed_messages) do
       {:value, {^id, _}} ->
-        %{state | n: state.n - 1, pending_messages: :queue.drop(state.pending_messages)}
+        %{
+          state
+          | count: state.count - 1,
+            unconfirmed_messages: :queue.drop(state.unconfirmed_messages)
+        }
 
       _ ->
-        pending_messages = :queue.filter(fn {other, _} -> other != id end, state.pending_messages)
-
-        %{state | n: :queue.len(pending_messages), pending_messages: pending_messages}
+        queue = :queue.filter(fn {queued, _} -> queued != id end, state.unconfirmed_messages)
+        %{state | count: :queue.len(queue), unconfirmed_messages: queue}
     end
   end
 
@@ -188,18 +187,12 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp schedule_reconnect(state, reason) do
     if state.tcp, do: ClientSocket.close(state.tcp)
 
-    if state.reported_error != reason and reason != :closed,
+    if state.logged_error != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
-    Process.send_after(self(), :connect, state.wait)
-
-    %{
-      state
-      | tcp: nil,
-        up?: false,
-        reported_error: reason,
-        wait: min(state.wait * 2, @longest_wait)
-    }
+    Process.send_after(self(), :connect, state.wait_ms)
+    wait_ms = min(state.wait_ms * 2, @max_wait_ms)
+    %{state | tcp: nil, up?: false, logged_error: reason, wait_ms: wait_ms}
   end
 
   @impl true

@@ -46,14 +46,14 @@ defmodule Situ.Bridge.Mqtt.Sink do
   def init(opts), do: {:ok, PeerSender.new([wait_for: 0] ++ opts)}
 
   @impl true
-  def handle_start(_context, %{opts: opts} = outlet) do
+  def handle_start(_context, %{opts: opts} = sender) do
     id = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
     port = opts[:port] || if(opts[:tls] in [nil, false], do: 1_883, else: 8_883)
     {:ok, publisher} = Publisher.start_link([id: id, port: port] ++ opts)
-    {[], PeerSender.attach_door(outlet, Publisher, publisher, nil)}
+    {[], PeerSender.attach_server(sender, Publisher, publisher, nil)}
   end
 
   @impl true
-  def handle_message(:in, message, _context, outlet),
-    do: PeerSender.send_payload(outlet, PeerSender.encode_payload(message, outlet.opts))
+  def handle_message(:in, message, _context, sender),
+    do: PeerSender.send_payload(sender, PeerSender.encode_payload(message, sender.opts))
 end

@@ -10,18 +10,18 @@ defmodule Situ.Bridge.Mqtt.Subscription do
     do: {[Wire.encode_connect(arg), Wire.encode_subscribe(1, arg[:topic], arg[:qos])], ""}
 
   @impl true
-  def read(bytes, said, most), do: read_packets(said <> bytes, most, [], [])
+  def read(bytes, buffer, max), do: read_packets(buffer <> bytes, max, [], [])
 
   @impl true
-  defdelegate missing(said), to: Wire, as: :missing_bytes
+  defdelegate missing_bytes(buffer), to: Wire
 
-  defp read_packets(bytes, most, payloads, answers) do
-    case Wire.parse_packet(bytes, most) do
+  defp read_packets(bytes, max, payloads, replies) do
+    case Wire.parse_packet(bytes, max) do
       {:ok, {:publish, _topic, payload, 0, _}, rest} ->
-        read_packets(rest, most, [payload | payloads], answers)
+        read_packets(rest, max, [payload | payloads], replies)
 
       {:ok, {:publish, _topic, payload, _qos, id}, rest} ->
-        read_packets(rest, most, [payload | payloads], [answers, Wire.encode_puback(id)])
+        read_packets(rest, max, [payload | payloads], [replies, Wire.encode_puback(id)])
 
       {:ok, {:connack, code}, _rest} when code != 0 ->
         {:error, "the broker: " <> Wire.describe_refusal(code)}
@@ -30,10 +30,10 @@ defmodule Situ.Bridge.Mqtt.Subscription do
         {:error, "the broker refuses the subscription"}
 
       {:ok, _other, rest} ->
-        read_packets(rest, most, payloads, answers)
+        read_packets(rest, max, payloads, replies)
 
       :more ->
-        {:ok, Enum.reverse(payloads), IO.iodata_to_binary(answers), bytes}
+        {:ok, Enum.reverse(payloads), IO.iodata_to_binary(replies), bytes}
 
       {:error, why} ->
         {:error, why}

@@ -45,7 +45,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
   @spec encode_publish(String.t(), iodata(), keyword()) :: iodata()
   def encode_publish(topic, payload, opts) do
     flags = (opts[:qos] || 0) <<< 1 ||| if(opts[:retain], do: 1, else: 0)
-    flags = if opts[:again], do: flags ||| 8, else: flags
+    flags = if opts[:duplicate], do: flags ||| 8, else: flags
     id = if opts[:qos] == 1, do: <<opts[:id]::16>>, else: ""
     encode_packet(3, flags, [encode_string(topic), id, payload])
   end
@@ -64,19 +64,19 @@ defmodule Situ.Bridge.Mqtt.Wire do
   defp encode_length(n) when n < 128, do: <<n>>
   defp encode_length(n), do: [<<1::1, n::7>>, encode_length(n >>> 7)]
 
-  @doc "Parses the first packet in `bytes`; a packet longer than `most` is an error."
+  @doc "Parses the first packet in `bytes`; a packet longer than `max` is an error."
   @spec parse_packet(binary(), pos_integer()) ::
           {:ok, packet(), rest :: binary()} | :more | {:error, String.t()}
-  def parse_packet(<<kind::4, flags::4, rest::binary>>, most) do
+  def parse_packet(<<kind::4, flags::4, rest::binary>>, max) do
     case parse_length(rest, 0, 0) do
-      {n, _} when n > most -> {:error, "a packet of #{n} bytes exceeds the limit"}
+      {n, _} when n > max -> {:error, "a packet of #{n} bytes exceeds the limit"}
       {n, rest} when byte_size(rest) < n -> :more
       {n, rest} -> split_packet(kind, flags, n, rest)
       other -> other
     end
   end
 
-  def parse_packet("", _most), do: :more
+  def parse_packet("", _max), do: :more
 
   @doc "Returns the minimum number of bytes that an incomplete packet lacks."
   @spec missing_bytes(binary()) :: pos_integer()

@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Net.ClientSocket do
           "certificate, if different), and `certificate:` and `key:` (files, if the server requires them of clients)."
     ]
   ]
-  @known [:authorities, :name, :certificate, :key]
+  @tls_keys [:authorities, :name, :certificate, :key]
 
   @type t :: {:gen_tcp, :gen_tcp.socket()} | {:ssl, :ssl.sslsocket()}
   @type tls :: boolean() | keyword()
@@ -38,21 +38,22 @@ defmodule Situ.Bridge.Net.ClientSocket do
 
   defp connect_tls(host, port, tls, options) do
     with :ok <- check_options(tls),
-         {:ok, trusted} <- authority_options(tls[:authorities]),
+         {:ok, authorities} <- authority_options(tls[:authorities]),
          {:ok, _} <- Application.ensure_all_started(:ssl),
-         checked = trusted ++ client_certificate(tls) ++ verify_options(tls[:name] || host),
+         ssl_options =
+           authorities ++ client_certificate(tls) ++ verify_options(tls[:name] || host),
          {:ok, ssl} <-
-           :ssl.connect(String.to_charlist(host), port, options ++ checked, 5_000),
+           :ssl.connect(String.to_charlist(host), port, options ++ ssl_options, 5_000),
          do: {:ok, {:ssl, ssl}}
   end
 
   defp check_options(tls) do
-    case Keyword.keys(tls) -- @known do
+    case Keyword.keys(tls) -- @tls_keys do
       [] ->
         :ok
 
       [key | _] ->
-        {:error, "tls: has no option #{inspect(key)}; its options are #{inspect(@known)}"}
+        {:error, "tls: has no option #{inspect(key)}; its options are #{inspect(@tls_keys)}"}
     end
   end
 
@@ -100,8 +101,8 @@ defmodule Situ.Bridge.Net.ClientSocket do
     end
   end
 
-  defp host_matches?(wanted, presented),
-    do: :public_key.pkix_verify_hostname_match_fun(:https).(wanted, presented)
+  defp host_matches?(reference, presented),
+    do: :public_key.pkix_verify_hostname_match_fun(:https).(reference, presented)
 
   @spec send_bytes(t(), iodata()) :: :ok | {:error, term()}
   def send_bytes({module, socket}, bytes), do: module.send(socket, bytes)
@@ -115,15 +116,15 @@ defmodule Situ.Bridge.Net.ClientSocket do
   def close({module, socket}), do: module.close(socket)
 
   @doc "Returns the bytes or the end of this connection that a process message contains, or `:other`."
-  @spec match_message(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
+  @spec match_message(term(), t() | nil) :: {:ok, binary()} | {:disconnected, term()} | :other
   def match_message({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl],
     do: {:ok, bytes}
 
   def match_message({kind, socket}, {_, socket}) when kind in [:tcp_closed, :ssl_closed],
-    do: {:gone, :closed}
+    do: {:disconnected, :closed}
 
   def match_message({kind, socket, reason}, {_, socket}) when kind in [:tcp_error, :ssl_error],
-    do: {:gone, reason}
+    do: {:disconnected, reason}
 
   def match_message(_other, _socket), do: :other
 end

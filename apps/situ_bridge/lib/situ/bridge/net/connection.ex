@@ -5,17 +5,17 @@ defmodule Situ.Bridge.Net.Connection do
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.SendQueue
 
-  @admission 5_000
+  @admission_ms 5_000
   # The maximum number of bytes that a client may send before it is admitted, or in one message afterwards. The
   # connection of a client that sends more is closed.
-  @most_said 65_536
+  @max_bytes 65_536
 
   def start_link(server, outbox, protocol),
     do: GenServer.start_link(__MODULE__, {server, outbox, protocol})
 
   @impl true
   def init({server, outbox, protocol}) do
-    Process.send_after(self(), :too_slow, @admission)
+    Process.send_after(self(), :too_slow, @admission_ms)
 
     {:ok,
      %{
@@ -42,15 +42,15 @@ defmodule Situ.Bridge.Net.Connection do
   end
 
   def handle_info({:tcp, _tcp, bytes}, state)
-      when byte_size(bytes) + byte_size(state.received_bytes) > @most_said,
+      when byte_size(bytes) + byte_size(state.received_bytes) > @max_bytes,
       do: {:stop, {:shutdown, :noise}, state}
 
   def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
     do: admit_client(%{state | received_bytes: state.received_bytes <> bytes})
 
   def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
-    case module.heard(state.received_bytes <> bytes, arg) do
-      {:ok, answer, rest} -> send_reply(answer, %{state | received_bytes: rest})
+    case module.handle_bytes(state.received_bytes <> bytes, arg) do
+      {:ok, reply, rest} -> send_reply(reply, %{state | received_bytes: rest})
       :close -> {:stop, {:shutdown, :closed}, state}
     end
   end
@@ -62,8 +62,8 @@ defmodule Situ.Bridge.Net.Connection do
 
   defp admit_client(%{protocol: {module, arg}} = state) do
     case module.admit(state.received_bytes, arg) do
-      {:ok, answer, rest} ->
-        with {:noreply, state} <- send_reply(answer, %{state | received_bytes: rest, open?: true}) do
+      {:ok, reply, rest} ->
+        with {:noreply, state} <- send_reply(reply, %{state | received_bytes: rest, open?: true}) do
           send(state.server, {:open, self()})
           {:noreply, state}
         end
@@ -71,14 +71,14 @@ defmodule Situ.Bridge.Net.Connection do
       :more ->
         send_reply("", state)
 
-      {:refuse, answer} ->
-        :gen_tcp.send(state.tcp, answer)
+      {:refuse, reply} ->
+        :gen_tcp.send(state.tcp, reply)
         {:stop, {:shutdown, :refused}, state}
     end
   end
 
-  defp send_reply(answer, state) do
-    case answer == "" || :gen_tcp.send(state.tcp, answer) do
+  defp send_reply(reply, state) do
+    case reply == "" || :gen_tcp.send(state.tcp, reply) do
       {:error, reason} ->
         {:stop, {:shutdown, reason}, state}
 

@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Net.Drain do
 
   require Logger
 
-  @look_again 5
+  @poll_ms 5
 
   @doc """
   Waits until everything has been handed to the network, at most `timeout` ms, and stops the server. Returns the number
@@ -13,9 +13,9 @@ defmodule Situ.Bridge.Net.Drain do
   """
   @spec close(pid(), non_neg_integer()) :: non_neg_integer()
   def close(server, timeout) do
-    left = GenServer.call(server, {:drain, now_ms() + timeout}, timeout + 5_000)
+    count = GenServer.call(server, {:drain, now_ms() + timeout}, timeout + 5_000)
     GenServer.stop(server)
-    left
+    count
   catch
     :exit, _ -> 0
   end
@@ -26,22 +26,22 @@ defmodule Situ.Bridge.Net.Drain do
   """
   @spec reply_when_drained(
           GenServer.from(),
-          until :: integer(),
-          left :: non_neg_integer(),
+          deadline :: integer(),
+          count :: non_neg_integer(),
           lossy? :: boolean()
         ) ::
           :ok
-  def reply_when_drained(from, until, left, lossy? \\ false) do
+  def reply_when_drained(from, deadline, count, lossy? \\ false) do
     cond do
-      left > 0 and now_ms() < until ->
-        Process.send_after(self(), {:drain, from, until}, @look_again)
+      count > 0 and now_ms() < deadline ->
+        Process.send_after(self(), {:drain, from, deadline}, @poll_ms)
 
-      left > 0 and lossy? ->
-        Logger.warning("#{left} messages were dropped on closing, because peers were too slow")
+      count > 0 and lossy? ->
+        Logger.warning("#{count} messages were dropped on closing, because peers were too slow")
         GenServer.reply(from, 0)
 
       true ->
-        GenServer.reply(from, left)
+        GenServer.reply(from, count)
     end
 
     :ok

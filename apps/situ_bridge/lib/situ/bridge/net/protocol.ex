@@ -11,23 +11,23 @@ defmodule Situ.Bridge.Net.Protocol do
   `:more` if more bytes are needed, or the last bytes to send to a refused client.
   """
   @callback admit(bytes :: binary(), arg :: term()) ::
-              {:ok, answer :: iodata(), rest :: binary()} | :more | {:refuse, answer :: iodata()}
+              {:ok, reply :: iodata(), rest :: binary()} | :more | {:refuse, reply :: iodata()}
   @doc "Encodes one message for a client."
   @callback frame(payload :: iodata(), arg :: term()) :: iodata()
   @doc "Handles bytes of an admitted client; returns the reply and the remaining bytes, or `:close` if it disconnects."
-  @callback heard(bytes :: binary(), arg :: term()) ::
-              {:ok, answer :: iodata(), binary()} | :close
+  @callback handle_bytes(bytes :: binary(), arg :: term()) ::
+              {:ok, reply :: iodata(), binary()} | :close
 
   @doc "Returns a client's first bytes and its state."
   @callback hello(host :: String.t(), port :: :inet.port_number(), arg :: term()) ::
               {iodata(), state()}
-  @doc "Parses bytes of a server; returns the complete payloads (each at most `most` bytes), a reply, and the state."
-  @callback read(bytes :: binary(), state(), most :: pos_integer()) ::
-              {:ok, [binary()], answer :: iodata(), state()} | {:error, String.t()}
+  @doc "Parses bytes of a server; returns the complete payloads (each at most `max` bytes), a reply, and the state."
+  @callback read(bytes :: binary(), state(), max :: pos_integer()) ::
+              {:ok, [binary()], reply :: iodata(), state()} | {:error, String.t()}
 
   @doc "Returns the minimum number of bytes that `read/3` needs to return a payload, or 1 if that is unknown."
-  @callback missing(state()) :: pos_integer()
+  @callback missing_bytes(state()) :: pos_integer()
 
   # A protocol that is only used by clients lacks the server's callbacks.
-  @optional_callbacks admit: 2, frame: 2, heard: 2, missing: 1
+  @optional_callbacks admit: 2, frame: 2, handle_bytes: 2, missing_bytes: 1
 end

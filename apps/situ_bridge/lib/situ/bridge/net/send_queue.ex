@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Net.SendQueue do
   @type t :: :atomics.atomics_ref()
 
   @send_timeout 30_000
-  @most_at_once 500
+  @max_batch 500
 
   @spec new() :: t()
   def new, do: :atomics.new(1, [])
@@ -14,9 +14,9 @@ defmodule Situ.Bridge.Net.SendQueue do
   @doc "Returns the socket options of a connection."
   def socket_options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
 
-  @spec put(t(), pid(), iodata(), most :: pos_integer()) :: :ok | :full
-  def put(outbox, connection, bytes, most) do
-    if :atomics.get(outbox, 1) < most do
+  @spec put(t(), pid(), iodata(), max :: pos_integer()) :: :ok | :full
+  def put(outbox, connection, bytes, max) do
+    if :atomics.get(outbox, 1) < max do
       :atomics.add(outbox, 1, 1)
       send(connection, {:send, bytes})
       :ok
@@ -32,18 +32,18 @@ defmodule Situ.Bridge.Net.SendQueue do
   @doc "Sends `bytes` and all other waiting messages in one system call."
   @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}
   def flush(outbox, tcp, bytes) do
-    {n, all} = gather_messages(1, [bytes])
+    {count, batch} = gather_messages(1, [bytes])
 
-    with :ok <- :gen_tcp.send(tcp, Enum.reverse(all)), do: :atomics.sub(outbox, 1, n)
+    with :ok <- :gen_tcp.send(tcp, Enum.reverse(batch)), do: :atomics.sub(outbox, 1, count)
   end
 
-  defp gather_messages(n, all) when n >= @most_at_once, do: {n, all}
+  defp gather_messages(count, batch) when count >= @max_batch, do: {count, batch}
 
-  defp gather_messages(n, all) do
+  defp gather_messages(count, batch) do
     receive do
-      {:send, bytes} -> gather_messages(n + 1, [bytes | all])
+      {:send, bytes} -> gather_messages(count + 1, [bytes | batch])
     after
-      0 -> {n, all}
+      0 -> {count, batch}
     end
   end
 end

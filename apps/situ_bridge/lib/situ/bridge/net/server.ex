@@ -7,21 +7,30 @@ defmodule Situ.Bridge.Net.Server do
   alias Situ.Error
   @behaviour PeerSender
 
-  @most_clients 1_000
+  @max_clients 1_000
 
-  defstruct [:listener, :acceptor, :most, :protocol, :latch, :last, clients: %{}, dropped: 0]
+  defstruct [
+    :listener,
+    :acceptor,
+    :max_queue,
+    :protocol,
+    :latch,
+    :last_frame,
+    clients: %{},
+    dropped: 0
+  ]
 
   @doc """
-  Opens a port and serves a protocol on it; up to `most` messages may wait for a client. With `latch: true`, a new
+  Opens a port and serves a protocol on it; up to `max_queue` messages may wait for a client. With `latch: true`, a new
   client first receives the last message that was sent. Errors: `:address_in_use`, `:bad_address`.
   """
   @spec open(String.t(), :inet.port_number(), pos_integer(), {module(), term()}, keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
-  def open(interface, port, most, protocol, opts \\ []) do
+  def open(interface, port, max_queue, protocol, opts \\ []) do
     with {:ok, listener} <- Listener.listen(interface, port) do
       state = %__MODULE__{
         listener: listener,
-        most: most,
+        max_queue: max_queue,
         protocol: protocol,
         latch: opts[:latch] || false
       }
@@ -58,7 +67,7 @@ defmodule Situ.Bridge.Net.Server do
   def handle_call(:ready, _from, state), do: {:reply, length(open_clients(state)), state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
-  def handle_call(:adopt, _from, state) when map_size(state.clients) >= @most_clients,
+  def handle_call(:adopt, _from, state) when map_size(state.clients) >= @max_clients,
     do: {:reply, :full, state}
 
   def handle_call(:adopt, _from, state) do
@@ -72,15 +81,15 @@ defmodule Situ.Bridge.Net.Server do
 
     dropped =
       Enum.count(open_clients(state), fn {pid, c} ->
-        SendQueue.put(c.outbox, pid, frame, state.most) == :full
+        SendQueue.put(c.outbox, pid, frame, state.max_queue) == :full
       end)
 
     last = if state.latch, do: frame
-    {:reply, :ok, %{state | dropped: state.dropped + dropped, last: last}}
+    {:reply, :ok, %{state | dropped: state.dropped + dropped, last_frame: last}}
   end
 
-  def handle_call({:drain, until}, from, state) do
-    Drain.reply_when_drained(from, until, count_waiting(state), true)
+  def handle_call({:drain, deadline}, from, state) do
+    Drain.reply_when_drained(from, deadline, count_waiting(state), true)
     {:noreply, state}
   end
 
@@ -94,13 +103,15 @@ defmodule Situ.Bridge.Net.Server do
   def handle_info(:begin, state),
     do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
-  def handle_info({:drain, from, until}, state) do
-    Drain.reply_when_drained(from, until, count_waiting(state), true)
+  def handle_info({:drain, from, deadline}, state) do
+    Drain.reply_when_drained(from, deadline, count_waiting(state), true)
     {:noreply, state}
   end
 
   def handle_info({:open, pid}, state) when is_map_key(state.clients, pid) do
-    if state.last, do: SendQueue.put(state.clients[pid].outbox, pid, state.last, state.most)
+    if state.last_frame,
+      do: SendQueue.put(state.clients[pid].outbox, pid, state.last_frame, state.max_queue)
+
     {:noreply, put_in(state.clients[pid].open?, true)}
   end
 

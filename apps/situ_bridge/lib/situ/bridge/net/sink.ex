@@ -31,14 +31,14 @@ defmodule Situ.Bridge.Net.Sink do
   def init(opts), do: {:ok, PeerSender.new(opts)}
 
   @impl true
-  def handle_start(_context, %{opts: opts} = outlet) do
+  def handle_start(_context, %{opts: opts} = sender) do
     case Server.open(opts[:interface], opts[:port], opts[:high_water_mark], opts[:protocol]) do
-      {:ok, server} -> {[], PeerSender.attach_door(outlet, Server, server, Server.port(server))}
+      {:ok, server} -> {[], PeerSender.attach_server(sender, Server, server, Server.port(server))}
       {:error, error} -> raise error
     end
   end
 
   @impl true
-  def handle_message(:in, message, _context, outlet),
-    do: PeerSender.send_payload(outlet, PeerSender.encode_payload(message, outlet.opts))
+  def handle_message(:in, message, _context, sender),
+    do: PeerSender.send_payload(sender, PeerSender.encode_payload(message, sender.opts))
 end

@@ -18,15 +18,17 @@ defmodule Situ.Bridge.Net.Source do
   use Situ.Component, outputs: [out: :any], options: @schema
   require Logger
 
-  @first_wait 50
-  @longest_wait 5_000
+  @min_wait_ms 50
+  @max_wait_ms 5_000
 
   def schema, do: @schema
 
   @doc "Adds a source of the messages that a server sends with a protocol."
   def connect(p, protocol, host, port, opts) do
-    given = [protocol: protocol, host: host, port: port, outputs: [out: opts[:type] || :any]]
-    Situ.source(p, __MODULE__, given ++ opts)
+    opts =
+      [protocol: protocol, host: host, port: port, outputs: [out: opts[:type] || :any]] ++ opts
+
+    Situ.source(p, __MODULE__, opts)
   end
 
   @doc "Returns the documentation of the options for users."
@@ -35,8 +37,17 @@ defmodule Situ.Bridge.Net.Source do
 
   @impl true
   def init(opts) do
-    state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, reported_error: nil, open: true}
-    {:ok, Map.merge(state, %{inlet: PayloadDecoder.new(opts), receive_buffer: %ReceiveBuffer{}})}
+    {:ok,
+     %{
+       opts: opts,
+       tcp: nil,
+       protocol_state: nil,
+       receive_buffer: %ReceiveBuffer{},
+       decoder: PayloadDecoder.new(opts),
+       wait_ms: @min_wait_ms,
+       logged_error: nil,
+       open?: true
+     }}
   end
 
   @impl true
@@ -46,13 +57,13 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   @impl true
-  def handle_info(:connect, _context, %{open: true, tcp: nil, opts: opts} = state) do
+  def handle_info(:connect, _context, %{open?: true, tcp: nil, opts: opts} = state) do
     {module, arg} = opts[:protocol]
-    {hello, wire} = module.hello(opts[:host], opts[:port], arg)
+    {hello, protocol_state} = module.hello(opts[:host], opts[:port], arg)
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
-      {[], %{state | tcp: tcp, wire: wire, receive_buffer: %ReceiveBuffer{}}}
+      {[], %{state | tcp: tcp, protocol_state: protocol_state, receive_buffer: %ReceiveBuffer{}}}
     else
       {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
@@ -61,7 +72,7 @@ defmodule Situ.Bridge.Net.Source do
   def handle_info(message, context, state) do
     case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} -> handle_bytes(bytes, context, state)
-      {:gone, reason} -> {[], schedule_reconnect(state, reason)}
+      {:disconnected, reason} -> {[], schedule_reconnect(state, reason)}
       :other -> {[], state}
     end
   end
@@ -70,7 +81,7 @@ defmodule Situ.Bridge.Net.Source do
     case ReceiveBuffer.add_bytes(
            state.receive_buffer,
            bytes,
-           missing_bytes(elem(opts[:protocol], 0), state.wire)
+           missing_bytes(elem(opts[:protocol], 0), state.protocol_state)
          ) do
       {:ok, bytes, receive_buffer} ->
         read_payloads(bytes, context, %{state | receive_buffer: receive_buffer})
@@ -81,16 +92,22 @@ defmodule Situ.Bridge.Net.Source do
     end
   end
 
-  defp missing_bytes(module, wire),
-    do: if(function_exported?(module, :missing, 1), do: module.missing(wire), else: 1)
+  defp missing_bytes(module, protocol_state),
+    do:
+      if(function_exported?(module, :missing_bytes, 1),
+        do: module.missing_bytes(protocol_state),
+        else: 1
+      )
 
   defp read_payloads(bytes, context, %{tcp: tcp, opts: opts} = state) do
-    case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
-      {:ok, payloads, answer, wire} ->
-        {actions, inlet} = PayloadDecoder.take_payloads(state.inlet, payloads, context.now)
-        if answer != "", do: ClientSocket.send_bytes(tcp, answer)
+    case elem(opts[:protocol], 0).read(bytes, state.protocol_state, opts[:most]) do
+      {:ok, payloads, reply, protocol_state} ->
+        {actions, decoder} = PayloadDecoder.take_payloads(state.decoder, payloads, context.now)
+        if reply != "", do: ClientSocket.send_bytes(tcp, reply)
         ClientSocket.activate_once(tcp)
-        {actions, reset_backoff(%{state | wire: wire, inlet: inlet}, payloads)}
+
+        {actions,
+         reset_backoff(%{state | protocol_state: protocol_state, decoder: decoder}, payloads)}
 
       {:error, why} ->
         ClientSocket.close(tcp)
@@ -114,15 +131,15 @@ defmodule Situ.Bridge.Net.Source do
 
   # After a readable message the server is known to work, so the next reconnect starts with the shortest wait.
   defp reset_backoff(state, []), do: state
-  defp reset_backoff(state, _payloads), do: %{state | wait: @first_wait, reported_error: nil}
+  defp reset_backoff(state, _payloads), do: %{state | wait_ms: @min_wait_ms, logged_error: nil}
 
   # A repeated error is logged once, not at every attempt. A partially received message is lost.
   defp schedule_reconnect(state, reason) do
-    if state.reported_error != reason and reason != :closed,
+    if state.logged_error != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
-    Process.send_after(self(), :connect, state.wait)
-    %{state | tcp: nil, reported_error: reason, wait: min(state.wait * 2, @longest_wait)}
+    Process.send_after(self(), :connect, state.wait_ms)
+    %{state | tcp: nil, logged_error: reason, wait_ms: min(state.wait_ms * 2, @max_wait_ms)}
   end
 
   @impl true
@@ -133,9 +150,9 @@ defmodule Situ.Bridge.Net.Source do
 
   defp close_connection(state) do
     if state.tcp, do: ClientSocket.close(state.tcp)
-    %{state | tcp: nil, open: false}
+    %{state | tcp: nil, open?: false}
   end
 
   @impl true
-  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.decoder)
 end

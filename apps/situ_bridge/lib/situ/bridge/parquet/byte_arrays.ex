@@ -7,12 +7,12 @@ defmodule Situ.Bridge.Parquet.ByteArrays do
   alias Situ.Bridge.Parquet.RunLength
 
   # The maximum size of a decoded page: shared prefixes can expand a few bytes into a huge amount of data.
-  @most 268_435_456
+  @max_bytes 268_435_456
 
-  @doc "Decodes at most `most` strings whose lengths are stored before them."
-  @spec decode_texts(binary(), most :: non_neg_integer()) :: [binary()]
-  def decode_texts(bytes, most) do
-    {lengths, rest} = RunLength.decode_deltas(bytes, most, 32)
+  @doc "Decodes at most `max` strings whose lengths are stored before them."
+  @spec decode_texts(binary(), max :: non_neg_integer()) :: [binary()]
+  def decode_texts(bytes, max) do
+    {lengths, rest} = RunLength.decode_deltas(bytes, max, 32)
 
     {texts, _rest} =
       Enum.map_reduce(lengths, rest, fn length, rest ->
@@ -28,11 +28,11 @@ defmodule Situ.Bridge.Parquet.ByteArrays do
     texts
   end
 
-  @doc "Decodes at most `most` strings that share a prefix with the previous string."
-  @spec decode_prefixed_texts(binary(), most :: non_neg_integer()) :: [binary()]
-  def decode_prefixed_texts(bytes, most) do
-    {lengths, rest} = RunLength.decode_deltas(bytes, most, 32)
-    suffixes = decode_texts(rest, most)
+  @doc "Decodes at most `max` strings that share a prefix with the previous string."
+  @spec decode_prefixed_texts(binary(), max :: non_neg_integer()) :: [binary()]
+  def decode_prefixed_texts(bytes, max) do
+    {lengths, rest} = RunLength.decode_deltas(bytes, max, 32)
+    suffixes = decode_texts(rest, max)
 
     if length(lengths) != length(suffixes),
       do: throw_malformed("strings have a prefix but no suffix")
@@ -40,13 +40,13 @@ defmodule Situ.Bridge.Parquet.ByteArrays do
     {texts, _} =
       lengths
       |> Enum.zip(suffixes)
-      |> Enum.map_reduce({"", 0}, fn {shared, suffix}, {before, size} ->
-        size = size + shared + byte_size(suffix)
+      |> Enum.map_reduce({"", 0}, fn {prefix_size, suffix}, {previous, size} ->
+        size = size + prefix_size + byte_size(suffix)
 
-        if shared not in 0..byte_size(before) or size > @most,
+        if prefix_size not in 0..byte_size(previous) or size > @max_bytes,
           do: throw_malformed("the shared prefix of a string is too long")
 
-        text = binary_part(before, 0, shared) <> suffix
+        text = binary_part(previous, 0, prefix_size) <> suffix
         {text, {text, size}}
       end)
 

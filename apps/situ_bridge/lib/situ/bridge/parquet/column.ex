@@ -7,10 +7,10 @@ defmodule Situ.Bridge.Parquet.Column do
   alias Situ.Bridge.Parquet.Thrift
 
   # Parquet's physical types.
-  @physical %{time: 2, integer: 2, float: 5, boolean: 0, text: 6, bytes: 6}
+  @physical_types %{time: 2, integer: 2, float: 5, boolean: 0, text: 6, bytes: 6}
   @doc "Returns the number of the column's physical type."
   @spec physical_type(Column.t()) :: non_neg_integer()
-  def physical_type(column), do: @physical[column.kind]
+  def physical_type(column), do: @physical_types[column.kind]
 
   @doc "Returns the column's element of the file's schema."
   @spec schema_element(Column.t()) :: {:struct, list()}
@@ -53,15 +53,15 @@ defmodule Situ.Bridge.Parquet.Column do
   def encode_page(%{optional?: false} = column, values), do: encode_plain(column.kind, values)
 
   def encode_page(column, values) do
-    there = Enum.reject(values, &is_nil/1)
-    levels = encode_levels(values, length(values), length(there))
-    [<<IO.iodata_length(levels)::little-32>>, levels, encode_plain(column.kind, there)]
+    present = Enum.reject(values, &is_nil/1)
+    levels = encode_levels(values, length(values), length(present))
+    [<<IO.iodata_length(levels)::little-32>>, levels, encode_plain(column.kind, present)]
   end
 
   # If no value is missing, the levels are one run. Otherwise each level is one bit, in groups of eight.
   defp encode_levels(_values, n, n), do: [Thrift.encode_varint(n <<< 1), 1]
 
-  defp encode_levels(values, n, _there),
+  defp encode_levels(values, n, _present),
     do: [Thrift.encode_varint(div(n + 7, 8) <<< 1 ||| 1), Column.presence_bits(values)]
 
   defp encode_plain(kind, values) when kind in [:text, :bytes],

@@ -43,20 +43,20 @@ defmodule Situ.Bridge.Parquet.Compression do
   defp unpack_hadoop_lz4("", 0, blocks),
     do: {:ok, blocks |> Enum.reverse() |> IO.iodata_to_binary()}
 
-  defp unpack_hadoop_lz4(<<n::32, packed::32, rest::binary>>, left, blocks)
-       when n in 1..left//1 and packed <= byte_size(rest) do
+  defp unpack_hadoop_lz4(<<n::32, packed::32, rest::binary>>, remaining, blocks)
+       when n in 1..remaining//1 and packed <= byte_size(rest) do
     <<block::binary-pinned_size(packed), rest::binary>> = rest
 
     case Native.unpack("lz4_block", block, n) do
       {:ok, bytes} when byte_size(bytes) == n ->
-        unpack_hadoop_lz4(rest, left - n, [bytes | blocks])
+        unpack_hadoop_lz4(rest, remaining - n, [bytes | blocks])
 
       _ ->
         :error
     end
   end
 
-  defp unpack_hadoop_lz4(_bytes, _left, _blocks), do: :error
+  defp unpack_hadoop_lz4(_bytes, _remaining, _blocks), do: :error
 
   defp check_size(bytes, size) when byte_size(bytes) == size, do: bytes
 
@@ -79,39 +79,39 @@ defmodule Situ.Bridge.Parquet.Compression do
     snappy_elements(rest, <<>>, size)
   end
 
-  defp snappy_elements("", out, _size), do: out
+  defp snappy_elements("", output, _size), do: output
 
-  defp snappy_elements(<<n::6, 0::2, rest::binary>>, out, size) when n < 60,
-    do: append_literal(rest, n + 1, out, size)
+  defp snappy_elements(<<n::6, 0::2, rest::binary>>, output, size) when n < 60,
+    do: append_literal(rest, n + 1, output, size)
 
-  defp snappy_elements(<<n::6, 0::2, rest::binary>>, out, size) do
+  defp snappy_elements(<<n::6, 0::2, rest::binary>>, output, size) do
     bytes = n - 59
 
     case rest do
       <<length::little-pinned_size(bytes)-unit(8), rest::binary>> ->
-        append_literal(rest, length + 1, out, size)
+        append_literal(rest, length + 1, output, size)
 
       _ ->
         throw_malformed("a page compressed with Snappy is truncated")
     end
   end
 
-  defp snappy_elements(<<high::3, n::3, 1::2, low, rest::binary>>, out, size),
-    do: append_copy(rest, high * 256 + low, n + 4, out, size)
+  defp snappy_elements(<<high::3, n::3, 1::2, low, rest::binary>>, output, size),
+    do: append_copy(rest, high * 256 + low, n + 4, output, size)
 
-  defp snappy_elements(<<n::6, 2::2, back::little-16, rest::binary>>, out, size),
-    do: append_copy(rest, back, n + 1, out, size)
+  defp snappy_elements(<<n::6, 2::2, distance::little-16, rest::binary>>, output, size),
+    do: append_copy(rest, distance, n + 1, output, size)
 
-  defp snappy_elements(<<n::6, 3::2, back::little-32, rest::binary>>, out, size),
-    do: append_copy(rest, back, n + 1, out, size)
+  defp snappy_elements(<<n::6, 3::2, distance::little-32, rest::binary>>, output, size),
+    do: append_copy(rest, distance, n + 1, output, size)
 
   defp snappy_elements(_short, _out, _size),
     do: throw_malformed("a page compressed with Snappy is truncated")
 
-  defp append_literal(rest, n, out, size) when byte_size(out) + n <= size do
+  defp append_literal(rest, n, output, size) when byte_size(output) + n <= size do
     case rest do
       <<part::binary-pinned_size(n), rest::binary>> ->
-        snappy_elements(rest, <<out::binary, part::binary>>, size)
+        snappy_elements(rest, <<output::binary, part::binary>>, size)
 
       _ ->
         throw_malformed("a page compressed with Snappy is truncated")
@@ -121,12 +121,14 @@ defmodule Situ.Bridge.Parquet.Compression do
   defp append_literal(_rest, _n, _out, _size),
     do: throw_malformed("a page unpacks to more than its declared size")
 
-  defp append_copy(rest, back, n, out, size)
-       when back in 1..byte_size(out)//1 and byte_size(out) + n <= size do
-    part = binary_part(out, byte_size(out) - back, min(back, n))
+  defp append_copy(rest, distance, n, output, size)
+       when distance in 1..byte_size(output)//1 and byte_size(output) + n <= size do
+    part = binary_part(output, byte_size(output) - distance, min(distance, n))
     # A copy may overlap its own output; then the bytes repeat.
-    part = if back < n, do: binary_part(:binary.copy(part, div(n, back) + 1), 0, n), else: part
-    snappy_elements(rest, <<out::binary, part::binary>>, size)
+    part =
+      if distance < n, do: binary_part(:binary.copy(part, div(n, distance) + 1), 0, n), else: part
+
+    snappy_elements(rest, <<output::binary, part::binary>>, size)
   end
 
   defp append_copy(_rest, _back, _n, _out, _size),

@@ -6,9 +6,9 @@ defmodule Situ.Bridge.Parquet.File do
   alias Situ.Bridge.Parquet.{Chunk, Thrift, SchemaTree}
 
   @format {:not_parquet, "Parquet"}
-  @most_footer 67_108_864
-  @most_chunk 2_147_483_648
-  @slice 1_024
+  @max_footer 67_108_864
+  @max_chunk 2_147_483_648
+  @slice_rows 1_024
   @enforce_keys [:path, :rows, :columns, :groups, :times, :left_out, :packed?]
   defstruct @enforce_keys
 
@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Parquet.File do
 
     n =
       case read.(size - 8, 8) do
-        <<n::little-32, "PAR1">> when n <= @most_footer and n + 12 <= size -> n
+        <<n::little-32, "PAR1">> when n <= @max_footer and n + 12 <= size -> n
         <<_::32, "PARE">> -> throw_malformed("it is encrypted")
         _ -> throw_malformed("it does not end in PAR1")
       end
@@ -67,27 +67,29 @@ defmodule Situ.Bridge.Parquet.File do
 
   defp start_rows(parquet, %{1 => chunks, 3 => rows}, columns, {_size, read})
        when is_list(chunks) and rows >= 0 do
-    places =
+    locations =
       for column <- columns, do: {column, locate_chunks(column, chunks, rows, parquet.packed?)}
 
     columns =
-      for {column, leaves} <- places,
-          do: {column, for({leaf, place} <- leaves, do: Chunk.start_reading(leaf, place, read))}
+      for {column, leaves} <- locations,
+          do:
+            {column,
+             for({leaf, location} <- leaves, do: Chunk.start_reading(leaf, location, read))}
 
-    %{columns: columns, left: rows}
+    %{columns: columns, remaining: rows}
   end
 
   defp start_rows(_parquet, _group, _columns, _input),
     do: throw_malformed("a row group is malformed")
 
-  defp next_rows(%{left: 0}), do: :done
+  defp next_rows(%{remaining: 0}), do: :done
 
-  defp next_rows(%{left: left} = state) do
-    n = min(@slice, left)
-    taken = for {column, chunks} <- state.columns, do: take_column(column, chunks, n)
-    rows = taken |> Enum.map(&elem(&1, 0)) |> Enum.zip_with(& &1)
-    columns = for {_values, column, chunks} <- taken, do: {column, chunks}
-    {rows, %{state | columns: columns, left: left - n}}
+  defp next_rows(%{remaining: remaining} = state) do
+    n = min(@slice_rows, remaining)
+    results = for {column, chunks} <- state.columns, do: take_column(column, chunks, n)
+    rows = results |> Enum.map(&elem(&1, 0)) |> Enum.zip_with(& &1)
+    columns = for {_values, column, chunks} <- results, do: {column, chunks}
+    {rows, %{state | columns: columns, remaining: remaining - n}}
   end
 
   defp take_column(column, chunks, n) do
@@ -110,7 +112,7 @@ defmodule Situ.Bridge.Parquet.File do
     for leaf <- if(nested?, do: column.tree.leaves, else: [column]) do
       case Enum.at(chunks, leaf.at) do
         %{3 => %{4 => codec, 5 => count, 7 => size, 9 => data} = meta}
-        when size in 0..@most_chunk and is_integer(codec) and is_integer(data) and count >= 0 ->
+        when size in 0..@max_chunk and is_integer(codec) and is_integer(data) and count >= 0 ->
           # Some writers set the offset to 0 for chunks without a dictionary.
           dictionary = if is_integer(meta[11]) and meta[11] > 0, do: meta[11], else: data
 

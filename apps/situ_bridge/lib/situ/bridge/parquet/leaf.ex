@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
   # A column of plain values: their representation in Parquet, and their meaning. Pure.
 
   # The factors to nanoseconds for the legacy converted types, and for the units of the logical types.
-  @old_kinds %{
+  @legacy_kinds %{
     6 => {:times, 86_400_000_000_000},
     7 => {:times, 1_000_000},
     8 => {:times, 1_000},
@@ -12,10 +12,10 @@ defmodule Situ.Bridge.Parquet.Leaf do
   }
   @units %{1 => {:times, 1_000_000}, 2 => {:times, 1_000}, 3 => nil}
   @unsigned %{11 => 8, 12 => 16, 13 => 32, 14 => 64}
-  @most_digits 76
+  @max_digits 76
 
   @enforce_keys [:at, :name, :type]
-  defstruct [:at, :name, :type, :as, length: 0, definition: 0, repetition: 0, time?: false]
+  defstruct [:at, :name, :type, :meaning, length: 0, definition: 0, repetition: 0, time?: false]
 
   @typedoc "`at` is the leaf's index in its row group; `definition` and `repetition` are the maximum levels."
   @type t :: %__MODULE__{
@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
           length: non_neg_integer(),
           definition: non_neg_integer(),
           repetition: non_neg_integer(),
-          as: atom() | {atom(), term()},
+          meaning: atom() | {atom(), term()},
           time?: boolean()
         }
 
@@ -41,12 +41,13 @@ defmodule Situ.Bridge.Parquet.Leaf do
       length: if(is_integer(element[2]), do: element[2], else: 0),
       definition: definition,
       repetition: repetition,
-      as: if(element[1] in [6, 7], do: bytes_meaning(element), else: number_meaning(element)),
+      meaning:
+        if(element[1] in [6, 7], do: bytes_meaning(element), else: number_meaning(element)),
       time?: time?
     }
   end
 
-  defp bytes_meaning(%{6 => 5, 7 => scale}) when scale in 0..@most_digits, do: {:decimal, scale}
+  defp bytes_meaning(%{6 => 5, 7 => scale}) when scale in 0..@max_digits, do: {:decimal, scale}
 
   defp bytes_meaning(%{10 => %{5 => decimal}}) when is_map(decimal),
     do: decimal_scale(:decimal, decimal)
@@ -63,13 +64,13 @@ defmodule Situ.Bridge.Parquet.Leaf do
   defp number_meaning(%{6 => kind}) when is_map_key(@unsigned, kind),
     do: {:unsigned, @unsigned[kind]}
 
-  defp number_meaning(%{6 => kind}) when is_map_key(@old_kinds, kind), do: @old_kinds[kind]
+  defp number_meaning(%{6 => kind}) when is_map_key(@legacy_kinds, kind), do: @legacy_kinds[kind]
 
   defp number_meaning(%{10 => %{5 => decimal}}) when is_map(decimal),
     do: decimal_scale(:scale, decimal)
 
   # Some writers no longer set the legacy converted types.
-  defp number_meaning(%{10 => %{6 => date}}) when is_map(date), do: @old_kinds[6]
+  defp number_meaning(%{10 => %{6 => date}}) when is_map(date), do: @legacy_kinds[6]
 
   defp number_meaning(%{10 => %{10 => %{1 => bits, 2 => false}}}) when bits in [8, 16, 32, 64],
     do: {:unsigned, bits}
@@ -80,7 +81,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
 
   defp decimal_scale(kind, decimal) do
     scale = decimal[1] || 0
-    if scale in 0..@most_digits, do: {kind, scale}
+    if scale in 0..@max_digits, do: {kind, scale}
   end
 
   @doc """

@@ -5,15 +5,15 @@ defmodule Situ.Bridge.Parquet.Page do
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Parquet.{Leaf, Compression, RunLength, Values}
 
-  @most_bytes 1_073_741_824
+  @max_bytes 1_073_741_824
 
-  @enforce_keys [:leaf, :left, :repeats, :defines, :values]
+  @enforce_keys [:leaf, :remaining, :repeats, :defines, :values]
   defstruct @enforce_keys
 
-  @typedoc "`left` is the number of entries that have not been taken yet."
+  @typedoc "`remaining` is the number of entries that have not been taken yet."
   @type t :: %__MODULE__{
           leaf: Leaf.t(),
-          left: non_neg_integer(),
+          remaining: non_neg_integer(),
           repeats: RunLength.t(),
           defines: RunLength.t(),
           values: Values.t()
@@ -26,13 +26,13 @@ defmodule Situ.Bridge.Parquet.Page do
   @type entry :: {non_neg_integer(), non_neg_integer(), term()} | term()
 
   @doc "Returns the size of a page's body in the file, from its header. Throws if it exceeds the remaining `room`."
-  @spec stored_size(map(), room :: non_neg_integer()) :: non_neg_integer()
-  def stored_size(%{2 => size, 3 => stored}, room)
-      when stored in 0..room//1 and size in 0..@most_bytes,
+  @spec stored_size(map(), limit :: non_neg_integer()) :: non_neg_integer()
+  def stored_size(%{2 => size, 3 => stored}, limit)
+      when stored in 0..limit//1 and size in 0..@max_bytes,
       do: stored
 
-  def stored_size(head, room),
-    do: throw_malformed("a page of #{inspect(head[3])} bytes in #{room} bytes")
+  def stored_size(head, limit),
+    do: throw_malformed("a page of #{inspect(head[3])} bytes in #{limit} bytes")
 
   @doc "Decodes the entries of a dictionary page."
   @spec decode_dictionary(map(), binary(), Leaf.t(), packing()) :: Values.dictionary()
@@ -44,16 +44,16 @@ defmodule Situ.Bridge.Parquet.Page do
   def decode_dictionary(_head, _body, _leaf, _packing),
     do: throw_malformed("a page's header is malformed")
 
-  @doc "Starts decoding a page of at most `most` entries; returns `nil` if the page holds no values."
+  @doc "Starts decoding a page of at most `max` entries; returns `nil` if the page holds no values."
   @spec start_decoding(
           map(),
           binary(),
           {Leaf.t(), packing(), Values.dictionary() | nil},
-          most :: pos_integer()
+          max :: pos_integer()
         ) ::
           t() | nil
-  def start_decoding(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, most)
-      when n in 0..most//1 do
+  def start_decoding(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, max)
+      when n in 0..max//1 do
     {leaf, packing, dictionary} = column
     bytes = Compression.unpack_page(packing.codec, body, size)
     {repeats, bytes} = split_levels(bytes, leaf.repetition)
@@ -66,9 +66,9 @@ defmodule Situ.Bridge.Parquet.Page do
         %{1 => 3, 2 => size, 8 => %{1 => n, 4 => encoding} = head},
         body,
         column,
-        most
+        max
       )
-      when n in 0..most//1 do
+      when n in 0..max//1 do
     {leaf, packing, dictionary} = column
     {repeats, defines} = {head[6] || 0, head[5] || 0}
 
@@ -86,23 +86,23 @@ defmodule Situ.Bridge.Parquet.Page do
     build_page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
   end
 
-  def start_decoding(%{1 => kind}, _body, _column, _most) when kind not in [0, 2, 3], do: nil
+  def start_decoding(%{1 => kind}, _body, _column, _max) when kind not in [0, 2, 3], do: nil
 
-  def start_decoding(_head, _body, _column, _most),
+  def start_decoding(_head, _body, _column, _max),
     do: throw_malformed("a page's header is malformed")
 
   # If the maximum level is 0, no levels are written.
   defp split_levels(bytes, 0), do: {"", bytes}
 
-  defp split_levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
+  defp split_levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _max),
     do: {levels, bytes}
 
-  defp split_levels(_bytes, _most), do: throw_malformed("the levels do not fit into their page")
+  defp split_levels(_bytes, _max), do: throw_malformed("the levels do not fit into their page")
 
   defp build_page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary}) do
     %__MODULE__{
       leaf: leaf,
-      left: n,
+      remaining: n,
       repeats: RunLength.from_bytes(repeats, level_width(leaf.repetition)),
       defines: RunLength.from_bytes(defines, level_width(leaf.definition)),
       values: Values.start_decoding(leaf, encoding, bytes, n, dictionary)
@@ -110,7 +110,7 @@ defmodule Situ.Bridge.Parquet.Page do
   end
 
   defp level_width(0), do: 0
-  defp level_width(most), do: most |> Integer.digits(2) |> length()
+  defp level_width(max), do: max |> Integer.digits(2) |> length()
 
   @doc "Takes the next `n` values of a flat column, `nil` where one is missing."
   @spec take_values(t(), non_neg_integer()) :: {[term()], t()}
@@ -132,33 +132,33 @@ defmodule Situ.Bridge.Parquet.Page do
 
   @doc "Takes the next `n` values of a nested column, with their levels."
   @spec take_entries(t(), non_neg_integer()) :: {[entry()], t()}
-  def take_entries(%{leaf: %{definition: most}} = page, n) do
+  def take_entries(%{leaf: %{definition: max}} = page, n) do
     {repeats, repeats_left} = RunLength.take_numbers(page.repeats, n)
     {defines, defines_left} = RunLength.take_numbers(page.defines, n)
-    {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == most)))
+    {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == max)))
     page = %{page | repeats: repeats_left, defines: defines_left, values: values_left}
-    {put_levels(repeats, defines, most, values), count_taken(page, n)}
+    {put_levels(repeats, defines, max, values), count_taken(page, n)}
   end
 
   defp put_levels([r | repeats], [d | defines], d, [value | values]),
     do: [{r, d, value} | put_levels(repeats, defines, d, values)]
 
-  defp put_levels([r | repeats], [d | defines], most, values) when d < most,
-    do: [{r, d, nil} | put_levels(repeats, defines, most, values)]
+  defp put_levels([r | repeats], [d | defines], max, values) when d < max,
+    do: [{r, d, nil} | put_levels(repeats, defines, max, values)]
 
-  defp put_levels([], [], _most, []), do: []
+  defp put_levels([], [], _max, []), do: []
 
   defp put_levels(_, _, _, _),
     do: throw_malformed("a level exceeds the maximum level of its column")
 
-  defp count_taken(%{left: n} = page, n) do
+  defp count_taken(%{remaining: n} = page, n) do
     if Values.left_over?(page.values),
       do: throw_malformed("a page has more values than it declares")
 
-    %{page | left: 0}
+    %{page | remaining: 0}
   end
 
-  defp count_taken(page, n), do: %{page | left: page.left - n}
+  defp count_taken(page, n), do: %{page | remaining: page.remaining - n}
 
   defp throw_malformed(why), do: throw({:not_parquet, why})
 end

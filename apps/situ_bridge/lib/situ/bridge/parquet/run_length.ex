@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Parquet.RunLength do
   alias Situ.Bridge.Parquet.Thrift
 
   # Deltas of zero bits take no bytes, so a small page could claim a huge number of them.
-  @most_deltas 20_000_000
+  @max_deltas 20_000_000
 
   @enforce_keys [:bytes, :width]
   defstruct [:bytes, :width, run: nil]
@@ -40,24 +40,24 @@ defmodule Situ.Bridge.Parquet.RunLength do
   def take_numbers(%{width: 0} = runs, count), do: {List.duplicate(0, count), runs}
   def take_numbers(runs, count), do: collect_numbers(runs, count, [])
 
-  defp collect_numbers(runs, 0, found), do: {found |> Enum.reverse() |> Enum.concat(), runs}
+  defp collect_numbers(runs, 0, acc), do: {acc |> Enum.reverse() |> Enum.concat(), runs}
 
-  defp collect_numbers(%{run: nil} = runs, count, found),
-    do: runs |> next_run() |> collect_numbers(count, found)
+  defp collect_numbers(%{run: nil} = runs, count, acc),
+    do: runs |> next_run() |> collect_numbers(count, acc)
 
-  defp collect_numbers(%{run: {:same, value, left}} = runs, count, found) do
-    n = min(left, count)
-    run = if left > n, do: {:same, value, left - n}
-    collect_numbers(%{runs | run: run}, count - n, [List.duplicate(value, n) | found])
+  defp collect_numbers(%{run: {:same, value, remaining}} = runs, count, acc) do
+    n = min(remaining, count)
+    run = if remaining > n, do: {:same, value, remaining - n}
+    collect_numbers(%{runs | run: run}, count - n, [List.duplicate(value, n) | acc])
   end
 
-  defp collect_numbers(%{run: {:packed, bytes, held}, width: width} = runs, count, found) do
-    missing = max(count - length(held), 0)
+  defp collect_numbers(%{run: {:packed, bytes, unpacked}, width: width} = runs, count, acc) do
+    missing = max(count - length(unpacked), 0)
     size = width * min(div(missing + 7, 8), div(byte_size(bytes), width))
     <<groups::binary-pinned_size(size), rest::binary>> = bytes
-    {taken, held} = Enum.split(held ++ unpack_groups(groups, width), count)
-    run = if rest != "" or held != [], do: {:packed, rest, held}
-    collect_numbers(%{runs | run: run}, count - length(taken), [taken | found])
+    {numbers, unpacked} = Enum.split(unpacked ++ unpack_groups(groups, width), count)
+    run = if rest != "" or unpacked != [], do: {:packed, rest, unpacked}
+    collect_numbers(%{runs | run: run}, count - length(numbers), [numbers | acc])
   end
 
   defp next_run(%{bytes: bytes, width: width} = runs) do
@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Parquet.RunLength do
   end
 
   @doc """
-  Decodes at most `most` numbers of `bits` bits from packed deltas; also returns the bytes after them.
+  Decodes at most `max` numbers of `bits` bits from packed deltas; also returns the bytes after them.
 
   Sums wrap at the width of the column: a writer of `int32` may store the difference from -2147483648 to 2147483647 as
   -1.
@@ -100,54 +100,58 @@ defmodule Situ.Bridge.Parquet.RunLength do
       iex> Situ.Bridge.Parquet.RunLength.decode_deltas(bytes, 2, 32)
       {[2147483647, -2147483648], ""}
   """
-  @spec decode_deltas(binary(), most :: non_neg_integer(), 32 | 64) :: {[integer()], binary()}
-  def decode_deltas(bytes, most, bits) do
+  @spec decode_deltas(binary(), max :: non_neg_integer(), 32 | 64) :: {[integer()], binary()}
+  def decode_deltas(bytes, max, bits) do
     {block, rest} = Thrift.decode_varint(bytes)
-    {minis, rest} = Thrift.decode_varint(rest)
+    {miniblocks, rest} = Thrift.decode_varint(rest)
     {count, rest} = Thrift.decode_varint(rest)
     {first, rest} = decode_zigzag(rest)
 
-    if minis == 0 or block == 0 or rem(block, minis * 8) != 0 or block > 1_048_576 or
-         count > min(most, @most_deltas),
+    if miniblocks == 0 or block == 0 or rem(block, miniblocks * 8) != 0 or block > 1_048_576 or
+         count > min(max, @max_deltas),
        do: throw_malformed("a block of packed deltas is malformed")
 
     if count == 0,
       do: {[], rest},
       else:
-        decode_blocks(rest, {div(block, minis), minis, bits}, count - 1, [
+        decode_blocks(rest, {div(block, miniblocks), miniblocks, bits}, count - 1, [
           wrap_integer(first, bits)
         ])
   end
 
-  defp decode_blocks(rest, _shape, left, found) when left <= 0, do: {Enum.reverse(found), rest}
+  defp decode_blocks(rest, _shape, remaining, acc) when remaining <= 0,
+    do: {Enum.reverse(acc), rest}
 
-  defp decode_blocks(rest, {size, minis, bits} = shape, left, found) do
-    {least, rest} = decode_zigzag(rest)
-    {widths, rest} = split_bytes(rest, minis)
+  defp decode_blocks(rest, {size, miniblocks, bits} = shape, remaining, acc) do
+    {min_delta, rest} = decode_zigzag(rest)
+    {widths, rest} = split_bytes(rest, miniblocks)
     widths = :binary.bin_to_list(widths)
-    {rest, left, found} = decode_miniblocks(rest, widths, {size, least, bits}, left, found)
-    decode_blocks(rest, shape, left, found)
+
+    {rest, remaining, acc} =
+      decode_miniblocks(rest, widths, {size, min_delta, bits}, remaining, acc)
+
+    decode_blocks(rest, shape, remaining, acc)
   end
 
-  defp decode_miniblocks(rest, [], _block, left, found), do: {rest, left, found}
+  defp decode_miniblocks(rest, [], _block, remaining, acc), do: {rest, remaining, acc}
 
-  defp decode_miniblocks(rest, _widths, _block, left, found) when left <= 0,
-    do: {rest, left, found}
+  defp decode_miniblocks(rest, _widths, _block, remaining, acc) when remaining <= 0,
+    do: {rest, remaining, acc}
 
-  defp decode_miniblocks(rest, [width | widths], {size, least, bits} = block, left, found) do
+  defp decode_miniblocks(rest, [width | widths], {size, min_delta, bits} = block, remaining, acc) do
     if width > 64, do: throw_malformed("deltas have an invalid width of #{width} bits")
     {bytes, rest} = split_bytes(rest, div(size * width, 8))
-    n = min(size, left)
+    n = min(size, remaining)
 
     deltas =
       if width == 0, do: List.duplicate(0, n), else: bytes |> unpack_groups(width) |> Enum.take(n)
 
-    found =
-      Enum.reduce(deltas, found, fn delta, [last | _] = found ->
-        [wrap_integer(last + least + delta, bits) | found]
+    acc =
+      Enum.reduce(deltas, acc, fn delta, [last | _] = acc ->
+        [wrap_integer(last + min_delta + delta, bits) | acc]
       end)
 
-    decode_miniblocks(rest, widths, block, left - n, found)
+    decode_miniblocks(rest, widths, block, remaining - n, acc)
   end
 
   defp wrap_integer(n, 32) do

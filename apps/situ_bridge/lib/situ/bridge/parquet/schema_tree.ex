@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Parquet.SchemaTree do
   alias Situ.Bridge.Columnar.ColumnNames
   alias Situ.Bridge.Parquet.Leaf
 
-  @deepest 32
+  @max_depth 32
   @repeated 2
 
   @typedoc "`definition` is the level from which a node is present, `level` the level at which its elements begin."
@@ -28,11 +28,11 @@ defmodule Situ.Bridge.Parquet.SchemaTree do
   def build_columns(elements),
     do: elements |> collect_columns(0, []) |> ColumnNames.number_duplicates()
 
-  defp collect_columns([], _at, found), do: Enum.reverse(found)
+  defp collect_columns([], _at, acc), do: Enum.reverse(acc)
 
-  defp collect_columns(elements, at, found) do
+  defp collect_columns(elements, at, acc) do
     {tree, rest, at} = build_node(elements, at, {0, 0}, 0)
-    collect_columns(rest, at, [leaf_or_tree(tree) | found])
+    collect_columns(rest, at, [leaf_or_tree(tree) | acc])
   end
 
   defp leaf_or_tree(%{kind: :leaf, repetition: repetition, leaves: [leaf]})
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Parquet.SchemaTree do
 
   defp leaf_or_tree(tree), do: %{name: tree.name, time?: false, tree: tree}
 
-  defp build_node(_elements, _at, _levels, depth) when depth > @deepest,
+  defp build_node(_elements, _at, _levels, depth) when depth > @max_depth,
     do: throw_malformed("its columns are nested too deeply")
 
   defp build_node([%{4 => name} = element | rest], at, {definition, level}, depth)
@@ -71,14 +71,14 @@ defmodule Situ.Bridge.Parquet.SchemaTree do
 
   defp build_node(_other, _at, _levels, _depth), do: throw_malformed("its schema is malformed")
 
-  defp build_children(0, rest, at, _levels, _depth, found), do: {Enum.reverse(found), rest, at}
+  defp build_children(0, rest, at, _levels, _depth, acc), do: {Enum.reverse(acc), rest, at}
 
-  defp build_children(n, rest, at, levels, depth, found) when n > 0 do
+  defp build_children(n, rest, at, levels, depth, acc) when n > 0 do
     {child, rest, at} = build_node(rest, at, levels, depth)
-    build_children(n - 1, rest, at, levels, depth, [child | found])
+    build_children(n - 1, rest, at, levels, depth, [child | acc])
   end
 
-  defp build_children(_n, _rest, _at, _levels, _depth, _found),
+  defp build_children(_n, _rest, _at, _levels, _depth, _acc),
     do: throw_malformed("its schema is malformed")
 
   # Lists and maps are groups whose only child is a repeated group.
@@ -95,77 +95,77 @@ defmodule Situ.Bridge.Parquet.SchemaTree do
   @doc "Returns the value of one row, assembled from the entries of each leaf."
   @spec row_value(tree(), [[entry()]]) :: term()
   def row_value(tree, rows) do
-    places = Enum.map(tree.leaves, & &1.at)
-    node_value(tree, places |> Enum.zip(rows) |> Map.new())
+    positions = Enum.map(tree.leaves, & &1.at)
+    node_value(tree, positions |> Enum.zip(rows) |> Map.new())
   end
 
   # A repetition level up to `level` begins a new element.
   defp split_entries([], _level), do: []
 
   defp split_entries([first | rest], level) do
-    {last, done} =
-      Enum.reduce(rest, {[first], []}, fn {at, _, _} = entry, {element, done} ->
+    {last, elements} =
+      Enum.reduce(rest, {[first], []}, fn {at, _, _} = entry, {element, elements} ->
         if at <= level,
-          do: {[entry], [Enum.reverse(element) | done]},
-          else: {[entry | element], done}
+          do: {[entry], [Enum.reverse(element) | elements]},
+          else: {[entry | element], elements}
       end)
 
-    Enum.reverse([Enum.reverse(last) | done])
+    Enum.reverse([Enum.reverse(last) | elements])
   end
 
-  defp node_value(%{repetition: @repeated} = node, held),
-    do: for(held <- node_elements(node, held), do: node_content(node, held))
+  defp node_value(%{repetition: @repeated} = node, entries),
+    do: for(entries <- node_elements(node, entries), do: node_content(node, entries))
 
-  defp node_value(node, held), do: if(defined?(node, held), do: node_content(node, held))
+  defp node_value(node, entries), do: if(defined?(node, entries), do: node_content(node, entries))
 
-  defp defined?(%{definition: definition, leaves: [leaf | _]}, held) do
-    [{_, defined, _} | _] = Map.fetch!(held, leaf.at)
-    defined >= definition
+  defp defined?(%{definition: definition, leaves: [leaf | _]}, entries) do
+    [{_, level, _} | _] = Map.fetch!(entries, leaf.at)
+    level >= definition
   end
 
-  defp node_elements(node, held) do
-    if defined?(node, held) do
-      places = Enum.map(node.leaves, & &1.at)
+  defp node_elements(node, entries) do
+    if defined?(node, entries) do
+      positions = Enum.map(node.leaves, & &1.at)
 
-      places
-      |> Enum.map(&split_entries(Map.fetch!(held, &1), node.level))
-      |> Enum.zip_with(&(places |> Enum.zip(&1) |> Map.new()))
+      positions
+      |> Enum.map(&split_entries(Map.fetch!(entries, &1), node.level))
+      |> Enum.zip_with(&(positions |> Enum.zip(&1) |> Map.new()))
     else
       []
     end
   end
 
-  defp node_content(%{kind: :leaf, leaves: [leaf]}, held) do
-    [{_, _, value} | _] = Map.fetch!(held, leaf.at)
+  defp node_content(%{kind: :leaf, leaves: [leaf]}, entries) do
+    [{_, _, value} | _] = Map.fetch!(entries, leaf.at)
     value
   end
 
-  defp node_content(%{kind: :struct, children: children}, held),
-    do: Map.new(children, &{&1.name, node_value(&1, held)})
+  defp node_content(%{kind: :struct, children: children}, entries),
+    do: Map.new(children, &{&1.name, node_value(&1, entries)})
 
-  defp node_content(%{kind: :list, name: name, children: [repeated]}, held) do
-    for held <- node_elements(repeated, held), do: list_element(repeated, name, held)
+  defp node_content(%{kind: :list, name: name, children: [repeated]}, entries) do
+    for entries <- node_elements(repeated, entries), do: list_element(repeated, name, entries)
   end
 
-  defp node_content(%{kind: :map, children: [%{children: [key, value]} = pairs]}, held),
+  defp node_content(%{kind: :map, children: [%{children: [key, value]} = pairs]}, entries),
     do:
       for(
-        held <- node_elements(pairs, held),
+        entries <- node_elements(pairs, entries),
         into: %{},
-        do: {node_value(key, held), node_value(value, held)}
+        do: {node_value(key, entries), node_value(value, entries)}
       )
 
-  defp node_content(%{kind: :map, children: [pairs]}, held),
-    do: for(held <- node_elements(pairs, held), do: node_content(pairs, held))
+  defp node_content(%{kind: :map, children: [pairs]}, entries),
+    do: for(entries <- node_elements(pairs, entries), do: node_content(pairs, entries))
 
   # Old writers omit the group between the list and its elements.
-  defp list_element(%{kind: :struct, children: [one], name: between}, name, held) do
-    if between in ["array", name <> "_tuple"],
-      do: %{one.name => node_value(one, held)},
-      else: node_value(one, held)
+  defp list_element(%{kind: :struct, children: [child], name: group}, name, entries) do
+    if group in ["array", name <> "_tuple"],
+      do: %{child.name => node_value(child, entries)},
+      else: node_value(child, entries)
   end
 
-  defp list_element(repeated, _name, held), do: node_content(repeated, held)
+  defp list_element(repeated, _name, entries), do: node_content(repeated, entries)
 
   defp throw_malformed(why), do: throw({:not_parquet, why})
 end

@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Parquet.Thrift do
   import Bitwise
 
   @types %{i32: 5, i64: 6, binary: 8, list: 9, struct: 12}
-  @deepest 32
+  @max_depth 32
 
   @doc "Encodes a struct."
   @spec encode_struct({:struct, [{pos_integer(), term()}]}) :: iodata()
@@ -55,24 +55,24 @@ defmodule Situ.Bridge.Parquet.Thrift do
   @spec decode_struct(binary()) :: {map(), binary()}
   def decode_struct(bytes), do: decode_fields(bytes, 0, %{}, 0)
 
-  defp decode_fields(_bytes, _last, _found, depth) when depth > @deepest,
+  defp decode_fields(_bytes, _last, _acc, depth) when depth > @max_depth,
     do: throw_malformed("it is nested too deeply")
 
-  defp decode_fields(<<0, rest::binary>>, _last, found, _depth), do: {found, rest}
+  defp decode_fields(<<0, rest::binary>>, _last, acc, _depth), do: {acc, rest}
 
-  defp decode_fields(<<0::4, type::4, rest::binary>>, _last, found, depth) do
+  defp decode_fields(<<0::4, type::4, rest::binary>>, _last, acc, depth) do
     {id, rest} = decode_zigzag(rest)
-    decode_field(id, type, rest, found, depth)
+    decode_field(id, type, rest, acc, depth)
   end
 
-  defp decode_fields(<<delta::4, type::4, rest::binary>>, last, found, depth),
-    do: decode_field(last + delta, type, rest, found, depth)
+  defp decode_fields(<<delta::4, type::4, rest::binary>>, last, acc, depth),
+    do: decode_field(last + delta, type, rest, acc, depth)
 
-  defp decode_fields("", _last, _found, _depth), do: throw_malformed("it is truncated")
+  defp decode_fields("", _last, _acc, _depth), do: throw_malformed("it is truncated")
 
-  defp decode_field(id, type, rest, found, depth) do
+  defp decode_field(id, type, rest, acc, depth) do
     {value, rest} = decode_value(type, rest, depth)
-    decode_fields(rest, id, Map.put(found, id, value), depth)
+    decode_fields(rest, id, Map.put(acc, id, value), depth)
   end
 
   defp decode_value(1, rest, _), do: {true, rest}
@@ -103,14 +103,14 @@ defmodule Situ.Bridge.Parquet.Thrift do
   defp decode_value(12, rest, depth), do: decode_fields(rest, 0, %{}, depth + 1)
   defp decode_value(_type, _rest, _depth), do: throw_malformed("a value of an unknown type")
 
-  defp decode_elements(0, _type, rest, _depth, found), do: {Enum.reverse(found), rest}
+  defp decode_elements(0, _type, rest, _depth, acc), do: {Enum.reverse(acc), rest}
 
-  defp decode_elements(n, type, <<bool, rest::binary>>, depth, found) when type in [1, 2],
-    do: decode_elements(n - 1, type, rest, depth, [bool == 1 | found])
+  defp decode_elements(n, type, <<bool, rest::binary>>, depth, acc) when type in [1, 2],
+    do: decode_elements(n - 1, type, rest, depth, [bool == 1 | acc])
 
-  defp decode_elements(n, type, rest, depth, found) do
+  defp decode_elements(n, type, rest, depth, acc) do
     {value, rest} = decode_value(type, rest, depth)
-    decode_elements(n - 1, type, rest, depth, [value | found])
+    decode_elements(n - 1, type, rest, depth, [value | acc])
   end
 
   defp decode_zigzag(bytes) do

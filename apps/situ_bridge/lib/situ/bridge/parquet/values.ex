@@ -43,16 +43,16 @@ defmodule Situ.Bridge.Parquet.Values do
     {:decoded, List.to_tuple(values)}
   end
 
-  defp dictionary_entry({:packed, leaf, width, bytes}, place)
-       when (place + 1) * width <= byte_size(bytes) do
-    {[value], ""} = decode_plain(leaf, binary_part(bytes, place * width, width), 1)
+  defp dictionary_entry({:packed, leaf, width, bytes}, index)
+       when (index + 1) * width <= byte_size(bytes) do
+    {[value], ""} = decode_plain(leaf, binary_part(bytes, index * width, width), 1)
     value
   end
 
-  defp dictionary_entry({:decoded, values}, place) when place < tuple_size(values),
-    do: elem(values, place)
+  defp dictionary_entry({:decoded, values}, index) when index < tuple_size(values),
+    do: elem(values, index)
 
-  defp dictionary_entry(_dictionary, _place),
+  defp dictionary_entry(_dictionary, _position),
     do: throw_malformed("an index is outside the dictionary")
 
   @doc "Starts decoding the values of a page with at most `n` rows."
@@ -85,18 +85,20 @@ defmodule Situ.Bridge.Parquet.Values do
 
   def start_decoding(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
     {values, _rest} = RunLength.decode_deltas(bytes, n, if(type == 1, do: 32, else: 64))
-    {:decoded, Enum.map(values, &convert_number(&1, leaf.as))}
+    {:decoded, Enum.map(values, &convert_number(&1, leaf.meaning))}
   end
 
   def start_decoding(%{type: 6} = leaf, 6, bytes, n, _dictionary),
     do:
       {:decoded,
-       bytes |> ByteArrays.decode_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
+       bytes |> ByteArrays.decode_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.meaning))}
 
   def start_decoding(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
     do:
       {:decoded,
-       bytes |> ByteArrays.decode_prefixed_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
+       bytes
+       |> ByteArrays.decode_prefixed_texts(n)
+       |> Enum.map(&Leaf.convert_bytes(&1, leaf.meaning))}
 
   def start_decoding(leaf, 9, bytes, _n, _dictionary) do
     width = value_width(leaf)
@@ -127,16 +129,16 @@ defmodule Situ.Bridge.Parquet.Values do
   end
 
   # A byte holds eight booleans, so some may be left over.
-  def take_next({:bits, bytes, held}, n) do
-    {packed, rest} = split_bytes(bytes, div(max(n - length(held), 0) + 7, 8))
-    {values, held} = Enum.split(held ++ Column.unpack_bits(packed), n)
-    {values, {:bits, rest, held}}
+  def take_next({:bits, bytes, booleans}, n) do
+    {packed, rest} = split_bytes(bytes, div(max(n - length(booleans), 0) + 7, 8))
+    {values, booleans} = Enum.split(booleans ++ Column.unpack_bits(packed), n)
+    {values, {:bits, rest, booleans}}
   end
 
   def take_next({:entries, runs, dictionary}, n) do
-    {places, runs} = RunLength.take_numbers(runs, n)
+    {indexes, runs} = RunLength.take_numbers(runs, n)
 
-    values = for place <- places, do: dictionary_entry(dictionary, place)
+    values = for index <- indexes, do: dictionary_entry(dictionary, index)
     {values, {:entries, runs, dictionary}}
   end
 
@@ -151,9 +153,9 @@ defmodule Situ.Bridge.Parquet.Values do
   end
 
   def take_next({:decoded, values}, n) do
-    {taken, values} = Enum.split(values, n)
-    if length(taken) < n, do: throw_malformed("a page has fewer values than it declares")
-    {taken, {:decoded, values}}
+    {head, values} = Enum.split(values, n)
+    if length(head) < n, do: throw_malformed("a page has fewer values than it declares")
+    {head, {:decoded, values}}
   end
 
   @doc "Returns whether values are left over. This is possible only for encodings that store their own count of values."
@@ -167,30 +169,31 @@ defmodule Situ.Bridge.Parquet.Values do
     {packed |> Column.unpack_bits() |> Enum.take(n), rest}
   end
 
-  def decode_plain(%{type: 6, as: as}, bytes, n), do: decode_texts(bytes, n, as, [])
+  def decode_plain(%{type: 6, meaning: meaning}, bytes, n),
+    do: decode_texts(bytes, n, meaning, [])
 
-  def decode_plain(%{type: 7, length: length, as: as}, bytes, n) when length > 0 do
+  def decode_plain(%{type: 7, length: length, meaning: meaning}, bytes, n) when length > 0 do
     {packed, rest} = split_bytes(bytes, n * length)
 
     values =
       for <<x::binary-pinned_size(length) <- packed>>,
-        do: x |> :binary.copy() |> Leaf.convert_bytes(as)
+        do: x |> :binary.copy() |> Leaf.convert_bytes(meaning)
 
     {values, rest}
   end
 
-  def decode_plain(%{type: type, as: as}, bytes, n) when type in 1..5 do
+  def decode_plain(%{type: type, meaning: meaning}, bytes, n) when type in 1..5 do
     {packed, rest} = split_bytes(bytes, n * @widths[type])
-    {decode_numbers(type, packed, as), rest}
+    {decode_numbers(type, packed, meaning), rest}
   end
 
   def decode_plain(_leaf, _bytes, _n), do: throw_malformed("fixed-size values have no size")
 
-  defp decode_numbers(1, packed, as),
-    do: for(<<x::little-signed-32 <- packed>>, do: convert_number(x, as))
+  defp decode_numbers(1, packed, meaning),
+    do: for(<<x::little-signed-32 <- packed>>, do: convert_number(x, meaning))
 
-  defp decode_numbers(2, packed, as),
-    do: for(<<x::little-signed-64 <- packed>>, do: convert_number(x, as))
+  defp decode_numbers(2, packed, meaning),
+    do: for(<<x::little-signed-64 <- packed>>, do: convert_number(x, meaning))
 
   defp decode_numbers(3, packed, _as) do
     for <<ns::little-64, day::little-32 <- packed>>,
@@ -207,13 +210,14 @@ defmodule Situ.Bridge.Parquet.Values do
 
   defp split_bytes(_bytes, _n), do: throw_malformed("a page has too few values")
 
-  defp decode_texts(bytes, 0, _as, found), do: {Enum.reverse(found), bytes}
+  defp decode_texts(bytes, 0, _kind, acc), do: {Enum.reverse(acc), bytes}
 
-  defp decode_texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
-    do:
-      decode_texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.convert_bytes(as) | found])
+  defp decode_texts(<<n::little-32, text::binary-size(n), rest::binary>>, count, kind, acc) do
+    text = text |> :binary.copy() |> Leaf.convert_bytes(kind)
+    decode_texts(rest, count - 1, kind, [text | acc])
+  end
 
-  defp decode_texts(_short, _left, _as, _found), do: throw_malformed("a string is truncated")
+  defp decode_texts(_short, _count, _kind, _acc), do: throw_malformed("a string is truncated")
 
   defp convert_number(n, nil), do: n
   defp convert_number(n, {:times, factor}), do: n * factor

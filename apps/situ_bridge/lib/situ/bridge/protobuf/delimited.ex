@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Protobuf.Delimited do
   alias Situ.Error
 
   @chunk 65_536
-  @most 64 * 1024 * 1024
+  @max_message 64 * 1024 * 1024
 
   @doc """
   Prefixes a message with its length.
@@ -34,17 +34,17 @@ defmodule Situ.Bridge.Protobuf.Delimited do
 
   defp read_chunk({file, bytes, at}, path) do
     case :file.read(file, @chunk) do
-      {:ok, more} ->
-        case split_payloads(bytes <> more, at, []) do
-          {:ok, found, rest, at} ->
-            {found, {file, rest, at}}
+      {:ok, chunk} ->
+        case split_payloads(bytes <> chunk, at, []) do
+          {:ok, payloads, rest, at} ->
+            {payloads, {file, rest, at}}
 
           {:error, [], at, why} ->
             raise bad_file_error(path, at, why)
 
           # The messages before the invalid one are returned first.
-          {:error, found, at, _why} ->
-            {found, {file, remaining_bytes(bytes <> more, found, at), at}}
+          {:error, payloads, at, _why} ->
+            {payloads, {file, remaining_bytes(bytes <> chunk, payloads, at), at}}
         end
 
       :eof when bytes == "" ->
@@ -69,30 +69,30 @@ defmodule Situ.Bridge.Protobuf.Delimited do
   defp remaining_bytes(bytes, [{first, _} | _], at),
     do: binary_part(bytes, at - first, byte_size(bytes) - at + first)
 
-  defp split_payloads(bytes, at, found) do
+  defp split_payloads(bytes, at, payloads) do
     case parse_length(bytes, 0, 0) do
-      {n, _, _} when n > @most ->
-        {:error, Enum.reverse(found), at, "a message of #{n} bytes exceeds the limit"}
+      {n, _, _} when n > @max_message ->
+        {:error, Enum.reverse(payloads), at, "a message of #{n} bytes exceeds the limit"}
 
-      {n, used, rest} when byte_size(rest) >= n ->
+      {n, length_size, rest} when byte_size(rest) >= n ->
         <<payload::binary-pinned_size(n), rest::binary>> = rest
-        split_payloads(rest, at + used + n, [{at, payload} | found])
+        split_payloads(rest, at + length_size + n, [{at, payload} | payloads])
 
       :wrong ->
-        {:error, Enum.reverse(found), at, "the length of a message is invalid"}
+        {:error, Enum.reverse(payloads), at, "the length of a message is invalid"}
 
       _more ->
-        {:ok, Enum.reverse(found), bytes, at}
+        {:ok, Enum.reverse(payloads), bytes, at}
     end
   end
 
   defp parse_length(_bytes, 5, _sum), do: :wrong
 
-  defp parse_length(<<0::1, n::7, rest::binary>>, used, sum),
-    do: {sum + Bitwise.bsl(n, 7 * used), used + 1, rest}
+  defp parse_length(<<0::1, n::7, rest::binary>>, length_size, sum),
+    do: {sum + Bitwise.bsl(n, 7 * length_size), length_size + 1, rest}
 
-  defp parse_length(<<1::1, n::7, rest::binary>>, used, sum),
-    do: parse_length(rest, used + 1, sum + Bitwise.bsl(n, 7 * used))
+  defp parse_length(<<1::1, n::7, rest::binary>>, length_size, sum),
+    do: parse_length(rest, length_size + 1, sum + Bitwise.bsl(n, 7 * length_size))
 
   defp parse_length("", _used, _sum), do: :more
 

@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     18 => :sint64
   }
   @numbers Map.new(@types, fn {number, type} -> {type, number} end)
-  @deepest 50
+  @max_depth 50
 
   defp descriptor_schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
@@ -68,8 +68,8 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   defp full_name("", name), do: name || ""
   defp full_name(scope, name), do: scope <> "." <> (name || "")
 
-  defp parse_messages(_message, scope, _style, @deepest),
-    do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
+  defp parse_messages(_message, scope, _style, @max_depth),
+    do: throw({:not_proto, "#{scope} is nested #{@max_depth} deep"})
 
   defp parse_messages(message, scope, style, depth) do
     name = full_name(scope, message["name"])
@@ -83,8 +83,8 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     ]
   end
 
-  defp parse_enums(_message, scope, @deepest),
-    do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
+  defp parse_enums(_message, scope, @max_depth),
+    do: throw({:not_proto, "#{scope} is nested #{@max_depth} deep"})
 
   defp parse_enums(message, scope, depth) do
     name = full_name(scope, message["name"])
@@ -101,20 +101,20 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   # The reader skips groups.
   defp parse_field(%{"type" => 10}, _scope, _style, _oneofs), do: []
 
-  defp parse_field(f, scope, style, oneofs) do
-    repeated? = f["label"] == 3
-    type = parse_type(f, scope)
-    oneof = oneof_name(f, oneofs)
+  defp parse_field(field, scope, style, oneofs) do
+    repeated? = field["label"] == 3
+    type = parse_type(field, scope)
+    oneof = oneof_name(field, oneofs)
 
     [
       %Field{
-        name: f["name"] || "",
-        number: f["number"],
+        name: field["name"] || "",
+        number: field["number"],
         type: type,
         repeated?: repeated?,
-        packed?: repeated? and packable?(type) and packed?(f, style),
+        packed?: repeated? and packable?(type) and packed?(field, style),
         presence?:
-          not repeated? and (style.explicit? or oneof != nil or f["proto3_optional"] == true),
+          not repeated? and (style.explicit? or oneof != nil or field["proto3_optional"] == true),
         oneof: oneof
       }
     ]
@@ -128,11 +128,11 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
 
   defp parse_type(%{"type" => number}, _scope) when is_map_key(@types, number), do: @types[number]
 
-  defp parse_type(f, scope),
+  defp parse_type(field, scope),
     do:
       throw(
         {:not_proto,
-         "the field #{inspect(f["name"])} of #{scope} has the type #{inspect(f["type"])}"}
+         "the field #{inspect(field["name"])} of #{scope} has the type #{inspect(field["type"])}"}
       )
 
   # Proto3 represents an optional field as a oneof with one member, which is not a oneof to users.
@@ -177,11 +177,11 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   defp file_name("google.protobuf"), do: "google/protobuf/timestamp.proto"
   defp file_name(package), do: String.replace(package, ".", "/") <> ".proto"
 
-  defp collect_types([], _schema, found), do: found
+  defp collect_types([], _schema, types), do: types
 
-  defp collect_types([name | rest], schema, found) do
-    if name in found do
-      collect_types(rest, schema, found)
+  defp collect_types([name | rest], schema, types) do
+    if name in types do
+      collect_types(rest, schema, types)
     else
       inner =
         case schema.messages do
@@ -190,8 +190,8 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
         end
 
       # The enclosing types of a nested type are included, too.
-      above = for above <- outer_names(name), is_map_key(schema.messages, above), do: above
-      collect_types(inner ++ above ++ rest, schema, MapSet.put(found, name))
+      outer = for outer <- outer_names(name), is_map_key(schema.messages, outer), do: outer
+      collect_types(inner ++ outer ++ rest, schema, MapSet.put(types, name))
     end
   end
 
@@ -252,8 +252,8 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
 
   # Lists the oneofs of the definition, and then one for each field that is optional in proto3.
   defp oneof_names(fields) do
-    real = for %{oneof: oneof} <- fields, oneof != nil, uniq: true, do: oneof
-    real ++ for(field <- fields, synthetic_oneof?(field), do: "_" <> field.name)
+    declared = for %{oneof: oneof} <- fields, oneof != nil, uniq: true, do: oneof
+    declared ++ for(field <- fields, synthetic_oneof?(field), do: "_" <> field.name)
   end
 
   defp synthetic_oneof?(field),

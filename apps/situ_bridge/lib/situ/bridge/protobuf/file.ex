@@ -1,4 +1,18 @@
 defmodule Situ.Bridge.Protobuf.File do
+  @moduledoc """
+  Reads and writes files of Protobuf messages, each preceded by its length as a varint. `writeDelimitedTo` of Java and
+  C++ and `google.protobuf.proto.serialize_length_prefixed` of Python write the same format.
+
+      definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
+      Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
+      levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
+
+  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types (`Situ.Bridge.Foxglove`). The
+  option `time:` names the field with the originating time, which a writer fills in. A writer also saves the
+  definition next to the file as `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may
+  have any length. If a file is truncated, its complete messages are returned before the error `:bad_file` is raised.
+  """
+
   alias Situ.Bridge.Foxglove.{Messages, StandardTypes}
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Protobuf.{Delimited, Descriptor, Stamp}
@@ -41,28 +55,20 @@ defmodule Situ.Bridge.Protobuf.File do
                 "`:situ` converts Foxglove's messages to Situ's types; `:maps` returns all messages as maps."
             ]
           ]
-  @moduledoc """
-  Reads and writes files of Protobuf messages, each preceded by its length as a varint. `writeDelimitedTo` of Java and
-  C++ and `google.protobuf.proto.serialize_length_prefixed` of Python write the same format.
 
-      definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
-      Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
-      levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
+  use Situ.Component, inputs: [in: :any]
 
-  Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
-  with the originating time, which a writer fills in. A writer also saves the definition next to the file as
-  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. If a file is
-  truncated, its complete messages are returned before the error `:bad_file` is raised.
-  ## Options of `write/3`
+  @chunk 65_536
+  @progress_interval 1_000
+
+  @impl true
+  def options, do: @write
+
+  @doc """
+  Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`.
 
   #{Situ.Options.docs(Keyword.delete(@write, :path))}
   """
-  use Situ.Component, inputs: [in: :any], options: @write
-
-  @chunk 65_536
-  @told 1_000
-
-  @doc "Writes a stream to a file; returns the stream. Pipeline errors: `:no_such_type`, `:no_time`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)
@@ -78,30 +84,30 @@ defmodule Situ.Bridge.Protobuf.File do
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def save(messages, path, opts) do
     {progress, opts} = Keyword.pop(opts, :progress, fn _ -> :ok end)
-    unfinished = path <> ".unfinished"
-    {:ok, state} = init(Situ.Options.validate!([path: unfinished] ++ opts, @write))
+    temporary = path <> ".unfinished"
+    {:ok, state} = init(Situ.Options.validate!([path: temporary] ++ opts, @write))
     {[], state} = handle_start(nil, state)
 
     {state, n} =
       Enum.reduce(messages, {state, 0}, fn message, {state, n} ->
         {[], state} = handle_message(:in, message, nil, state)
-        if rem(n + 1, @told) == 0, do: progress.(n + 1)
+        if rem(n + 1, @progress_interval) == 0, do: progress.(n + 1)
         {state, n + 1}
       end)
 
     close_file(state)
-    for ending <- [".desc", ""], do: rename_file!(unfinished <> ending, path <> ending)
+    for suffix <- [".desc", ""], do: rename_file!(temporary <> suffix, path <> suffix)
     {:ok, n}
   rescue
     error in Error ->
-      for ending <- [".desc", ""], do: File.rm(path <> ".unfinished" <> ending)
+      for suffix <- [".desc", ""], do: File.rm(path <> ".unfinished" <> suffix)
       {:error, error}
   end
 
-  defp rename_file!(unfinished, path),
+  defp rename_file!(temporary, path),
     do:
       with(
-        {:error, reason} <- File.rename(unfinished, path),
+        {:error, reason} <- File.rename(temporary, path),
         do: raise(Delimited.io_error(path, reason))
       )
 
@@ -153,15 +159,15 @@ defmodule Situ.Bridge.Protobuf.File do
   end
 
   defp load_schema!(path, opts) do
-    beside = path <> ".desc"
+    definition_path = path <> ".desc"
 
     schema =
       cond do
         opts[:definition] ->
           Error.unwrap!(Protobuf.parse_schema(opts[:definition]))
 
-        File.regular?(beside) ->
-          beside |> File.read!() |> Protobuf.parse_schema() |> Error.unwrap!()
+        File.regular?(definition_path) ->
+          definition_path |> File.read!() |> Protobuf.parse_schema() |> Error.unwrap!()
 
         true ->
           Messages.load_schema()

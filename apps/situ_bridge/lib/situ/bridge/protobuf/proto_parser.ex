@@ -9,13 +9,13 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   @strings ~S{"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'}
   @words ~S(\.?[A-Za-z_][\w.]*|-?0[xX][\da-fA-F]+|-?[\d.][\w.+-]*|\S)
   @token Regex.compile!(Enum.join([@comments, @strings, @words], "|"), "s")
-  @deepest 50
+  @max_depth 50
 
   @doc "Parses a text to a schema; `also` lists the messages and enumerations that the text may refer to."
   @spec parse(String.t(), [{list(), list()}]) :: {:ok, Schema.t()} | {:error, String.t()}
-  def parse(text, also \\ []) do
+  def parse(text, known_types \\ []) do
     with {:ok, messages, enums} <- parse_types(text) do
-      {more_messages, more_enums} = Enum.unzip(also)
+      {more_messages, more_enums} = Enum.unzip(known_types)
       Schema.new(messages ++ Enum.concat(more_messages), enums ++ Enum.concat(more_enums))
     end
   end
@@ -25,8 +25,8 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   def parse_types(text) do
     if String.valid?(text) do
       tokens = @token |> Regex.scan(text) |> Enum.map(&hd/1) |> Enum.reject(&comment?/1)
-      found = parse_file(tokens, %{package: "", proto3?: false, messages: [], enums: []})
-      {:ok, resolve_types(found), Enum.reverse(found.enums)}
+      file = parse_file(tokens, %{package: "", proto3?: false, messages: [], enums: []})
+      {:ok, resolve_types(file), Enum.reverse(file.enums)}
     else
       {:error, "the definition is not valid UTF-8"}
     end
@@ -44,33 +44,33 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   defp fail_at_tokens(tokens),
     do: throw({:not_proto, "unexpected text: #{inspect(Enum.join(Enum.take(tokens, 5), " "))}"})
 
-  defp parse_file([], found), do: found
+  defp parse_file([], file), do: file
 
-  defp parse_file(["syntax", "=", syntax, ";" | rest], found),
-    do: parse_file(rest, %{found | proto3?: unquote_string(syntax) == "proto3"})
+  defp parse_file(["syntax", "=", syntax, ";" | rest], file),
+    do: parse_file(rest, %{file | proto3?: unquote_string(syntax) == "proto3"})
 
-  defp parse_file(["package", name, ";" | rest], found),
-    do: parse_file(rest, %{found | package: name})
+  defp parse_file(["package", name, ";" | rest], file),
+    do: parse_file(rest, %{file | package: name})
 
-  defp parse_file([";" | rest], found), do: parse_file(rest, found)
+  defp parse_file([";" | rest], file), do: parse_file(rest, file)
 
-  defp parse_file([word | rest], found) when word in ["import", "option"],
-    do: parse_file(skip_statement(rest), found)
+  defp parse_file([word | rest], file) when word in ["import", "option"],
+    do: parse_file(skip_statement(rest), file)
 
-  defp parse_file([word | rest], found) when word in ["service", "extend"],
-    do: parse_file(skip_block(rest), found)
+  defp parse_file([word | rest], file) when word in ["service", "extend"],
+    do: parse_file(skip_block(rest), file)
 
-  defp parse_file(["message", name, "{" | rest], found) do
-    {rest, found} = parse_message(rest, full_name(found.package, name), found, 0)
-    parse_file(rest, found)
+  defp parse_file(["message", name, "{" | rest], file) do
+    {rest, file} = parse_message(rest, full_name(file.package, name), file, 0)
+    parse_file(rest, file)
   end
 
-  defp parse_file(["enum", name, "{" | rest], found) do
-    {rest, found} = parse_enum(rest, full_name(found.package, name), found)
-    parse_file(rest, found)
+  defp parse_file(["enum", name, "{" | rest], file) do
+    {rest, file} = parse_enum(rest, full_name(file.package, name), file)
+    parse_file(rest, file)
   end
 
-  defp parse_file(tokens, _found), do: fail_at_tokens(tokens)
+  defp parse_file(tokens, _file), do: fail_at_tokens(tokens)
 
   defp unquote_string(text), do: String.slice(text, 1..-2//1)
   defp full_name("", name), do: name
@@ -92,38 +92,38 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   defp skip_block_body([_ | rest], depth), do: skip_block_body(rest, depth)
   defp skip_block_body([], _depth), do: fail_parsing("a block does not end")
 
-  defp parse_message(_tokens, name, _found, depth) when depth > @deepest,
-    do: fail_parsing("#{name} is nested deeper than #{@deepest} messages")
+  defp parse_message(_tokens, name, _file, depth) when depth > @max_depth,
+    do: fail_parsing("#{name} is nested deeper than #{@max_depth} messages")
 
-  defp parse_message(tokens, name, found, depth) do
-    {rest, found, fields} = parse_body(tokens, name, found, [], nil, depth)
-    {rest, %{found | messages: [{name, Enum.reverse(fields), false} | found.messages]}}
+  defp parse_message(tokens, name, file, depth) do
+    {rest, file, fields} = parse_body(tokens, name, file, [], nil, depth)
+    {rest, %{file | messages: [{name, Enum.reverse(fields), false} | file.messages]}}
   end
 
-  defp parse_body(["}" | rest], _name, found, fields, _oneof, _depth), do: {rest, found, fields}
+  defp parse_body(["}" | rest], _name, file, fields, _oneof, _depth), do: {rest, file, fields}
 
-  defp parse_body([";" | rest], name, found, fields, oneof, depth),
-    do: parse_body(rest, name, found, fields, oneof, depth)
+  defp parse_body([";" | rest], name, file, fields, oneof, depth),
+    do: parse_body(rest, name, file, fields, oneof, depth)
 
-  defp parse_body(["message", inner, "{" | rest], name, found, fields, nil, depth) do
-    {rest, found} = parse_message(rest, full_name(name, inner), found, depth + 1)
-    parse_body(rest, name, found, fields, nil, depth)
+  defp parse_body(["message", inner, "{" | rest], name, file, fields, nil, depth) do
+    {rest, file} = parse_message(rest, full_name(name, inner), file, depth + 1)
+    parse_body(rest, name, file, fields, nil, depth)
   end
 
-  defp parse_body(["enum", inner, "{" | rest], name, found, fields, nil, depth) do
-    {rest, found} = parse_enum(rest, full_name(name, inner), found)
-    parse_body(rest, name, found, fields, nil, depth)
+  defp parse_body(["enum", inner, "{" | rest], name, file, fields, nil, depth) do
+    {rest, file} = parse_enum(rest, full_name(name, inner), file)
+    parse_body(rest, name, file, fields, nil, depth)
   end
 
-  defp parse_body(["oneof", oneof, "{" | rest], name, found, fields, nil, depth) do
-    {rest, found, fields} = parse_body(rest, name, found, fields, oneof, depth)
-    parse_body(rest, name, found, fields, nil, depth)
+  defp parse_body(["oneof", oneof, "{" | rest], name, file, fields, nil, depth) do
+    {rest, file, fields} = parse_body(rest, name, file, fields, oneof, depth)
+    parse_body(rest, name, file, fields, nil, depth)
   end
 
   defp parse_body(
          ["map", "<", key, ",", type, ">", field | rest],
          name,
-         found,
+         file,
          fields,
          nil,
          depth
@@ -133,34 +133,34 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
     key = %Field{name: "key", number: 1, type: {:unresolved, key, name}}
     {number, _options, rest} = parse_field_end(rest)
     field = %Field{name: field, number: number, type: {:message, entry}, repeated?: true}
-    found = %{found | messages: [{entry, [key, value], true} | found.messages]}
-    parse_body(rest, name, found, [field | fields], nil, depth)
+    file = %{file | messages: [{entry, [key, value], true} | file.messages]}
+    parse_body(rest, name, file, [field | fields], nil, depth)
   end
 
-  defp parse_body([word | rest], name, found, fields, oneof, depth)
+  defp parse_body([word | rest], name, file, fields, oneof, depth)
        when word in ["option", "reserved", "extensions"],
-       do: parse_body(skip_statement(rest), name, found, fields, oneof, depth)
+       do: parse_body(skip_statement(rest), name, file, fields, oneof, depth)
 
-  defp parse_body(["extend" | rest], name, found, fields, oneof, depth),
-    do: parse_body(skip_block(rest), name, found, fields, oneof, depth)
+  defp parse_body(["extend" | rest], name, file, fields, oneof, depth),
+    do: parse_body(skip_block(rest), name, file, fields, oneof, depth)
 
-  defp parse_body([label, type, field, "=" | _] = tokens, name, found, fields, oneof, depth)
+  defp parse_body([label, type, field, "=" | _] = tokens, name, file, fields, oneof, depth)
        when label in ["optional", "required", "repeated"] and type != "group" do
     {number, options, rest} = tokens |> Enum.drop(3) |> parse_field_end()
-    field = build_field(type, field, number, name, label, options, oneof, found.proto3?)
-    parse_body(rest, name, found, [field | fields], oneof, depth)
+    field = build_field(type, field, number, name, label, options, oneof, file.proto3?)
+    parse_body(rest, name, file, [field | fields], oneof, depth)
   end
 
-  defp parse_body([type, field, "=" | _] = tokens, name, found, fields, oneof, depth) do
+  defp parse_body([type, field, "=" | _] = tokens, name, file, fields, oneof, depth) do
     {number, options, rest} = tokens |> Enum.drop(2) |> parse_field_end()
-    field = build_field(type, field, number, name, nil, options, oneof, found.proto3?)
-    parse_body(rest, name, found, [field | fields], oneof, depth)
+    field = build_field(type, field, number, name, nil, options, oneof, file.proto3?)
+    parse_body(rest, name, file, [field | fields], oneof, depth)
   end
 
-  defp parse_body([], name, _found, _fields, _oneof, _depth),
+  defp parse_body([], name, _file, _fields, _oneof, _depth),
     do: fail_parsing("#{name} does not end")
 
-  defp parse_body(tokens, _name, _found, _fields, _oneof, _depth), do: fail_at_tokens(tokens)
+  defp parse_body(tokens, _name, _file, _fields, _oneof, _depth), do: fail_at_tokens(tokens)
 
   defp build_field(type, name, number, scope, label, options, oneof, proto3?) do
     repeated? = label == "repeated"
@@ -212,9 +212,9 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
     end
   end
 
-  defp parse_enum(tokens, name, found) do
+  defp parse_enum(tokens, name, file) do
     {rest, values} = parse_enum_values(tokens, name, [])
-    {rest, %{found | enums: [{name, Enum.reverse(values)} | found.enums]}}
+    {rest, %{file | enums: [{name, Enum.reverse(values)} | file.enums]}}
   end
 
   defp parse_enum_values(["}" | rest], _name, values), do: {rest, values}
@@ -232,11 +232,11 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   defp parse_enum_values(tokens, _name, _values), do: fail_at_tokens(tokens)
 
   # A type name is resolved from the innermost scope outwards.
-  defp resolve_types(found) do
-    messages = MapSet.new(found.messages, &elem(&1, 0))
-    enums = MapSet.new(found.enums, &elem(&1, 0))
+  defp resolve_types(file) do
+    messages = MapSet.new(file.messages, &elem(&1, 0))
+    enums = MapSet.new(file.enums, &elem(&1, 0))
 
-    for {name, fields, map?} <- Enum.reverse(found.messages) do
+    for {name, fields, map?} <- Enum.reverse(file.messages) do
       {name, Enum.map(fields, &resolve_field(&1, messages, enums)), map?}
     end
   end
@@ -266,8 +266,8 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
     names = name |> candidate_names(scope) |> Enum.reverse()
 
     cond do
-      found = Enum.find(names, &(&1 in messages)) -> {:message, found}
-      found = Enum.find(names, &(&1 in enums)) -> {:enum, found}
+      match = Enum.find(names, &(&1 in messages)) -> {:message, match}
+      match = Enum.find(names, &(&1 in enums)) -> {:enum, match}
       true -> {:message, name}
     end
   end

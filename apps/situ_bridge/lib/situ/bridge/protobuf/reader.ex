@@ -9,15 +9,17 @@ defmodule Situ.Bridge.Protobuf.Reader do
   alias Situ.Bridge.Protobuf.Schema
   alias Situ.Bridge.Ros.Number
 
-  @deepest 100
-  @base 100_000
-  @rate 16
+  @max_depth 100
+  @base_members 100_000
+  @members_per_byte 16
   @times ["google.protobuf.Timestamp", "google.protobuf.Duration"]
 
   @doc "Decodes `bytes` as the message `name`. The error is a sentence."
   @spec decode(Schema.t(), String.t(), binary()) :: {:ok, map()} | {:error, String.t()}
   def decode(schema, name, bytes) do
-    {value, _budget} = decode_message(bytes, name, schema, @base + @rate * byte_size(bytes), 0)
+    {value, _budget} =
+      decode_message(bytes, name, schema, @base_members + @members_per_byte * byte_size(bytes), 0)
+
     {:ok, value}
   catch
     {:not_protobuf, why} -> {:error, why}
@@ -25,15 +27,15 @@ defmodule Situ.Bridge.Protobuf.Reader do
 
   defp fail_decoding(why), do: throw({:not_protobuf, why})
 
-  defp decode_message(_bytes, name, _schema, _budget, @deepest),
-    do: fail_decoding("#{name} is nested #{@deepest} deep")
+  defp decode_message(_bytes, name, _schema, _budget, @max_depth),
+    do: fail_decoding("#{name} is nested #{@max_depth} deep")
 
   defp decode_message(bytes, name, schema, budget, depth) do
     type = Map.fetch!(schema.messages, name)
     budget = budget - map_size(type.empty)
     if budget < 0, do: fail_decoding("its messages have far more fields than it has bytes")
-    found = scan_fields(bytes, type.by_number, [])
-    {value, budget} = build_message(found, type, schema, budget, depth)
+    entries = scan_fields(bytes, type.by_number, [])
+    {value, budget} = build_message(entries, type, schema, budget, depth)
     {convert_time(name, value), budget}
   end
 
@@ -43,34 +45,34 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp convert_time(_name, value), do: value
 
   # Returns `{number, value}` of every known field, the last one first; messages are still bytes.
-  defp scan_fields("", _fields, found), do: found
+  defp scan_fields("", _fields, entries), do: entries
 
-  defp scan_fields(bytes, fields, found) do
+  defp scan_fields(bytes, fields, entries) do
     {key, rest} = read_varint(bytes)
     number = key >>> 3
     if number not in 1..536_870_911, do: fail_decoding("a field has the number #{number}")
 
     case fields do
-      %{^number => field} -> scan_field(field, key &&& 7, rest, fields, found)
-      _ -> rest |> skip_field(key &&& 7, number, 0) |> scan_fields(fields, found)
+      %{^number => field} -> scan_field(field, key &&& 7, rest, fields, entries)
+      _ -> rest |> skip_field(key &&& 7, number, 0) |> scan_fields(fields, entries)
     end
   end
 
-  defp scan_field(field, wire, bytes, fields, found) do
+  defp scan_field(field, wire, bytes, fields, entries) do
     case {Schema.wire_type(field.type), wire} do
       {wire, wire} ->
         {value, rest} = read_value(wire, field.type, bytes)
-        scan_fields(rest, fields, [{field.number, value} | found])
+        scan_fields(rest, fields, [{field.number, value} | entries])
 
       {scalar, 2} when scalar != 2 and field.repeated? ->
         {packed, rest} = read_sized(bytes)
 
         scan_fields(rest, fields, [
-          {field.number, {:packed, unpack_numbers(packed, field.type)}} | found
+          {field.number, {:packed, unpack_numbers(packed, field.type)}} | entries
         ])
 
       _other ->
-        bytes |> skip_field(wire, field.number, 0) |> scan_fields(fields, found)
+        bytes |> skip_field(wire, field.number, 0) |> scan_fields(fields, entries)
     end
   end
 
@@ -80,16 +82,16 @@ defmodule Situ.Bridge.Protobuf.Reader do
   end
 
   defp read_value(2, type, bytes) do
-    {taken, rest} = read_sized(bytes)
-    {if(type in [:string, :bytes], do: :binary.copy(taken), else: taken), rest}
+    {part, rest} = read_sized(bytes)
+    {if(type in [:string, :bytes], do: :binary.copy(part), else: part), rest}
   end
 
   defp read_value(_fixed, type, bytes) do
     {kind, size} = Schema.fixed_kind(type)
 
     case bytes do
-      <<taken::binary-pinned_size(size), rest::binary>> ->
-        {Number.decode(kind, taken, :little), rest}
+      <<part::binary-pinned_size(size), rest::binary>> ->
+        {Number.decode(kind, part, :little), rest}
 
       _ ->
         fail_decoding("it ends within a number")
@@ -109,11 +111,11 @@ defmodule Situ.Bridge.Protobuf.Reader do
     end
   end
 
-  defp read_varints("", _type, found), do: Enum.reverse(found)
+  defp read_varints("", _type, entries), do: Enum.reverse(entries)
 
-  defp read_varints(bytes, type, found) do
+  defp read_varints(bytes, type, entries) do
     {n, rest} = read_varint(bytes)
-    read_varints(rest, type, [convert_integer(type, n) | found])
+    read_varints(rest, type, [convert_integer(type, n) | entries])
   end
 
   defp convert_integer(:bool, n), do: n != 0
@@ -146,7 +148,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
     {n, rest} = read_varint(bytes)
 
     case rest do
-      <<taken::binary-pinned_size(n), rest::binary>> -> {taken, rest}
+      <<part::binary-pinned_size(n), rest::binary>> -> {part, rest}
       _ -> fail_decoding("#{n} bytes are expected, but only #{byte_size(rest)} are left")
     end
   end
@@ -157,7 +159,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp skip_field(<<_::binary-4, rest::binary>>, 5, _number, _depth), do: rest
 
   # A group ends with an end tag of the same number.
-  defp skip_field(bytes, 3, number, depth) when depth < @deepest do
+  defp skip_field(bytes, 3, number, depth) when depth < @max_depth do
     {key, rest} = read_varint(bytes)
 
     case {key >>> 3, key &&& 7} do
@@ -170,10 +172,10 @@ defmodule Situ.Bridge.Protobuf.Reader do
     do: fail_decoding("the field #{number} (wire type #{wire}) is invalid or incomplete")
 
   # Repeated occurrences of a single field: the last scalar wins, and the parts of a message are merged.
-  defp build_message(found, type, schema, budget, depth) do
-    found
-    |> Enum.reduce(%{}, fn {number, value}, all ->
-      Map.update(all, number, [value], &[value | &1])
+  defp build_message(entries, type, schema, budget, depth) do
+    entries
+    |> Enum.reduce(%{}, fn {number, value}, grouped ->
+      Map.update(grouped, number, [value], &[value | &1])
     end)
     |> Enum.reduce({type.empty, budget}, fn {number, values}, {map, budget} ->
       field = Map.fetch!(type.by_number, number)
@@ -181,22 +183,22 @@ defmodule Situ.Bridge.Protobuf.Reader do
       {Map.put(map, field.name, value), budget}
     end)
     |> then(fn {map, budget} ->
-      {if(type.oneofs?, do: clear_other_members(map, found, type), else: map), budget}
+      {if(type.oneofs?, do: clear_other_members(map, entries, type), else: map), budget}
     end)
   end
 
   # Only the member of a oneof that was written last is kept.
-  defp clear_other_members(map, [{_, _} | _] = found, type) do
+  defp clear_other_members(map, [{_, _} | _] = entries, type) do
     for %{oneof: oneof} = field <- type.fields, oneof != nil, reduce: map do
-      map -> if current_member?(field, found, type), do: map, else: %{map | field.name => nil}
+      map -> if current_member?(field, entries, type), do: map, else: %{map | field.name => nil}
     end
   end
 
   defp clear_other_members(map, [], _type), do: map
 
-  defp current_member?(field, found, type) do
+  defp current_member?(field, entries, type) do
     last =
-      Enum.find_value(found, fn {n, _} -> number_in_oneof(type.by_number[n], field.oneof) end)
+      Enum.find_value(entries, fn {n, _} -> number_in_oneof(type.by_number[n], field.oneof) end)
 
     last == nil or last == field.number
   end

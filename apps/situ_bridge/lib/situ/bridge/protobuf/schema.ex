@@ -36,8 +36,8 @@ defmodule Situ.Bridge.Protobuf.Schema do
 
   @scalars ~w(double float int64 uint64 int32 fixed64 fixed32 bool string bytes uint32 sfixed32 sfixed64 sint32 sint64)a
   @names Map.new(@scalars, &{Atom.to_string(&1), &1})
-  @most_types 5_000
-  @most_fields 2_000
+  @max_types 5_000
+  @max_fields 2_000
 
   @doc "Returns the scalar type with this name."
   @spec fetch_scalar(String.t()) :: {:ok, atom()} | :error
@@ -51,10 +51,10 @@ defmodule Situ.Bridge.Protobuf.Schema do
           {:ok, t()} | {:error, String.t()}
   def new(messages, enums) do
     enums = Map.new(enums, fn {name, values} -> {name, build_enum(values)} end)
-    known = MapSet.new(messages, &elem(&1, 0))
+    names = MapSet.new(messages, &elem(&1, 0))
 
     with :ok <- check_limits(messages, enums),
-         :ok <- check_fields(messages, known, enums) do
+         :ok <- check_fields(messages, names, enums) do
       schema = %__MODULE__{messages: %{}, enums: enums}
       maps = for {name, _, true} <- messages, into: MapSet.new(), do: name
       {:ok, %{schema | messages: Map.new(messages, &build_message(&1, enums, maps))}}
@@ -71,36 +71,36 @@ defmodule Situ.Bridge.Protobuf.Schema do
 
   defp check_limits(messages, enums) do
     cond do
-      length(messages) + map_size(enums) > @most_types ->
-        {:error, "it has more than #{@most_types} types"}
+      length(messages) + map_size(enums) > @max_types ->
+        {:error, "it has more than #{@max_types} types"}
 
-      large = Enum.find(messages, fn {_, fields, _} -> length(fields) > @most_fields end) ->
-        {:error, "#{elem(large, 0)} has more than #{@most_fields} fields"}
+      message = Enum.find(messages, fn {_, fields, _} -> length(fields) > @max_fields end) ->
+        {:error, "#{elem(message, 0)} has more than #{@max_fields} fields"}
 
       true ->
         :ok
     end
   end
 
-  defp check_fields(messages, known, enums) do
+  defp check_fields(messages, names, enums) do
     Enum.find_value(messages, :ok, fn {name, fields, _} ->
       Enum.find_value(fields, fn field ->
-        with why when is_binary(why) <- find_problem(field, known, enums),
+        with why when is_binary(why) <- find_problem(field, names, enums),
              do: {:error, "the field #{inspect(field.name)} of #{name} #{why}"}
       end)
     end)
   end
 
-  defp find_problem(%{number: n}, _known, _enums) when n not in 1..536_870_911,
+  defp find_problem(%{number: n}, _names, _enums) when n not in 1..536_870_911,
     do: "has the number #{inspect(n)}"
 
-  defp find_problem(%{type: {:message, type}}, known, _enums),
-    do: if(type not in known, do: "has the unknown type #{type}")
+  defp find_problem(%{type: {:message, type}}, names, _enums),
+    do: if(type not in names, do: "has the unknown type #{type}")
 
-  defp find_problem(%{type: {:enum, type}}, _known, enums),
+  defp find_problem(%{type: {:enum, type}}, _names, enums),
     do: if(not is_map_key(enums, type), do: "has the unknown type #{type}")
 
-  defp find_problem(_field, _known, _enums), do: nil
+  defp find_problem(_field, _names, _enums), do: nil
 
   defp build_message({name, fields, map?}, enums, maps) do
     fields = Enum.map(fields, &clear_presence/1)

@@ -44,24 +44,31 @@ defmodule Situ.Bridge.Psi.Blocks do
 
   defp after_extent({:next, next, acc}, path, number, context, damage) do
     cond do
-      next <= number -> {acc, ["#{path} links to itself or to an earlier file" | damage]}
-      is_map_key(context.extents, next) -> reduce_extent(next, context, {acc, damage})
-      true -> go_on(number, context, acc, ["the file after #{path} is missing" | damage])
+      next <= number ->
+        {acc, ["#{path} links to itself or to an earlier file" | damage]}
+
+      is_map_key(context.extents, next) ->
+        reduce_extent(next, context, {acc, damage})
+
+      true ->
+        reduce_remaining(number, context, acc, ["the file after #{path} is missing" | damage])
     end
   end
 
   defp after_extent({:end, acc}, _path, number, context, damage),
-    do: go_on(number, context, acc, damage)
+    do: reduce_remaining(number, context, acc, damage)
 
   defp after_extent({:cut, at, acc}, path, number, context, damage),
     do:
-      go_on(number, context, acc, ["#{path} is cut short in the message at byte #{at}" | damage])
+      reduce_remaining(number, context, acc, [
+        "#{path} is cut short in the message at byte #{at}" | damage
+      ])
 
   # An extent without a link is normally the last one. If more extents exist, the link was lost.
-  defp go_on(number, context, acc, damage) do
+  defp reduce_remaining(number, context, acc, damage) do
     case context.extents |> Map.keys() |> Enum.filter(&(&1 > number)) do
       [] -> {acc, damage}
-      later -> reduce_extent(Enum.min(later), context, {acc, damage})
+      others -> reduce_extent(Enum.min(others), context, {acc, damage})
     end
   end
 
@@ -114,7 +121,7 @@ defmodule Situ.Bridge.Psi.Blocks do
   end
 
   defp drop_position({:end, _at, acc}), do: {:end, acc}
-  defp drop_position(cut), do: cut
+  defp drop_position(result), do: result
 
   defp padding_size(n), do: rem(4 - rem(n, 4), 4)
 end

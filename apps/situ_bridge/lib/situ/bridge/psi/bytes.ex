@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Psi.Bytes do
   # 1970-01-01 in ticks of 100 ns since the year 1.
   @epoch 621_355_968_000_000_000
   @kind_bits 0x3FFF_FFFF_FFFF_FFFF
-  @never 3_155_378_975_999_999_999
+  @max_ticks 3_155_378_975_999_999_999
 
   @doc """
   Converts a .NET time to nanoseconds since 1970. The top two bits hold the kind (UTC, local, unspecified) and are
@@ -29,12 +29,12 @@ defmodule Situ.Bridge.Psi.Bytes do
       false
   """
   @spec valid_time?(integer()) :: boolean()
-  def valid_time?(binary), do: (binary &&& @kind_bits) <= @never
+  def valid_time?(binary), do: (binary &&& @kind_bits) <= @max_ticks
 
   @doc "Converts a .NET time like `parse_time/1`, but returns nil for the maximum time, which means \"not yet\"."
   @spec parse_optional_time(integer()) :: Situ.Time.t() | nil
   def parse_optional_time(binary),
-    do: if((binary &&& @kind_bits) == @never, do: nil, else: parse_time(binary))
+    do: if((binary &&& @kind_bits) == @max_ticks, do: nil, else: parse_time(binary))
 
   @doc "Parses a string, which may be nil, and returns it with the remaining bytes."
   @spec parse_string(binary()) :: {:ok, String.t() | nil, binary()} | :error

@@ -36,22 +36,25 @@ defmodule Situ.Bridge.Psi.Catalog do
   @type t :: %__MODULE__{}
 
   # An entry has a name, a few numbers and perhaps a schema. A megabyte is a hundred times the largest entry seen.
-  @most 1_048_576
+  @max_entry 1_048_576
 
   @doc "Reads the catalog of a store. Returns it with sentences that describe the damage found."
   @spec read(Path.t(), String.t()) :: {t(), [String.t()]}
   def read(folder, name) do
-    Blocks.reduce({folder, name, :catalog}, @most, %__MODULE__{}, fn {_, _, _, bytes}, catalog ->
-      add_entry(catalog, bytes)
-    end)
+    Blocks.reduce(
+      {folder, name, :catalog},
+      @max_entry,
+      %__MODULE__{},
+      &add_entry(&2, elem(&1, 3))
+    )
   end
 
   @doc "Returns the names of the types that streams used in addition to their declared types, by type number."
   @spec runtime_types(t()) :: %{integer() => String.t()}
   def runtime_types(catalog),
     do:
-      Enum.reduce(catalog.streams, %{}, fn {_, entry}, all ->
-        Map.merge(all, entry.runtime_types)
+      Enum.reduce(catalog.streams, %{}, fn {_, entry}, types ->
+        Map.merge(types, entry.runtime_types)
       end)
 
   @doc "Adds an entry to the catalog. Invalid entries are ignored."

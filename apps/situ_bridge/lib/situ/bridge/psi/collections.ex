@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Psi.Collections do
                   do: @generic <> name
 
   # Limits the depth of trees and chains. Real collections are not this deep.
-  @deepest 10_000
+  @max_depth 10_000
 
   @doc "Returns the shape of a type, given its name and the names of its members."
   @spec shape_of(String.t(), [String.t()]) :: atom()
@@ -101,8 +101,8 @@ defmodule Situ.Bridge.Psi.Collections do
 
   defp build_collection(:queue, %{"array" => items, "head" => head, "size" => size})
        when is_list(items) and is_integer(head) and head >= 0 do
-    {before, behind} = Enum.split(items, head)
-    take_first(behind ++ before, size)
+    {head_items, tail_items} = Enum.split(items, head)
+    take_first(tail_items ++ head_items, size)
   end
 
   defp build_collection(:old_dictionary, %{"entries" => entries}) when is_list(entries),
@@ -175,18 +175,18 @@ defmodule Situ.Bridge.Psi.Collections do
   end
 
   # The last node refers to the first one, which ends the list.
-  defp collect_linked(%{"item" => item, "next" => next}, found),
-    do: collect_linked(next, [item | found])
+  defp collect_linked(%{"item" => item, "next" => next}, acc),
+    do: collect_linked(next, [item | acc])
 
-  defp collect_linked(_reference, found), do: Enum.reverse(found)
+  defp collect_linked(_reference, acc), do: Enum.reverse(acc)
 
-  defp walk_tree(%{} = node, found, depth) when depth < @deepest do
+  defp walk_tree(%{} = node, acc, depth) when depth < @max_depth do
     item = get_member(node, "item")
-    found = node |> get_member("right") |> walk_tree(found, depth + 1)
-    node |> get_member("left") |> walk_tree([%{"item" => item} | found], depth + 1)
+    acc = node |> get_member("right") |> walk_tree(acc, depth + 1)
+    node |> get_member("left") |> walk_tree([%{"item" => item} | acc], depth + 1)
   end
 
-  defp walk_tree(_nothing, found, _depth), do: found
+  defp walk_tree(_nothing, acc, _depth), do: acc
 
   defp pairs_to_map(pairs) do
     if Enum.all?(pairs, &match?(%{"key" => _, "value" => _}, &1)),
@@ -197,7 +197,7 @@ defmodule Situ.Bridge.Psi.Collections do
   # A bucket is a node, or a struct whose only member is a node. Each node links to the next one.
   defp collect_chain(%{"_node" => node}, depth), do: collect_chain(node, depth)
 
-  defp collect_chain(%{} = node, depth) when depth < @deepest do
+  defp collect_chain(%{} = node, depth) when depth < @max_depth do
     if Enum.any?(["_key", "m_key"], &is_map_key(node, &1)),
       do: [
         {get_member(node, "key"), get_member(node, "value")}

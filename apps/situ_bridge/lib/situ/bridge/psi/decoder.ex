@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   # Limits shared objects: a few bytes can refer to large objects that refer to large objects in turn. Copied, as
   # encoders do, they would exhaust the memory.
-  @most_shared 1_000_000
+  @max_shared 1_000_000
 
   # CompressionMethod.None and DepthCompressionMethod.None
   @uncompressed 2
@@ -28,8 +28,8 @@ defmodule Situ.Bridge.Psi.Decoder do
     next: 0,
     nodes: 0,
     refs: 0,
-    needed: MapSet.new(),
-    known: MapSet.new()
+    referenced_ids: MapSet.new(),
+    shared_ids: MapSet.new()
   ]
 
   @doc """
@@ -56,12 +56,12 @@ defmodule Situ.Bridge.Psi.Decoder do
   end
 
   def decode(bytes, handler, types, opts) do
-    most = max_padding(bytes, opts)
+    max = max_padding(bytes, opts)
 
-    with {:ok, value, %{needed: needed}} <-
-           decode_bytes(bytes, handler, %__MODULE__{types: types}, most),
+    with {:ok, value, %{referenced_ids: ids}} <-
+           decode_bytes(bytes, handler, %__MODULE__{types: types}, max),
          {:ok, value, _} <-
-           decode_with_ids(bytes, handler, %__MODULE__{types: types, known: needed}, most, value),
+           decode_with_ids(bytes, handler, %__MODULE__{types: types, shared_ids: ids}, max, value),
          do: {:ok, value}
   end
 
@@ -81,17 +81,17 @@ defmodule Situ.Bridge.Psi.Decoder do
   end
 
   # The objects that need an id are known only after decoding, so the bytes are decoded a second time.
-  defp decode_with_ids(bytes, handler, state, most, value) do
-    if MapSet.size(state.known) == 0,
+  defp decode_with_ids(bytes, handler, state, max, value) do
+    if MapSet.size(state.shared_ids) == 0,
       do: {:ok, value, state},
-      else: decode_bytes(bytes, handler, state, most)
+      else: decode_bytes(bytes, handler, state, max)
   end
 
   # Decoding is deeply recursive, so errors are thrown from the inner functions and caught here.
-  defp decode_bytes(bytes, handler, state, most) do
+  defp decode_bytes(bytes, handler, state, max) do
     {value, rest, state} = read_value(handler, bytes, state)
 
-    if byte_size(rest) <= most,
+    if byte_size(rest) <= max,
       do: {:ok, value, state},
       else: left_over_error(byte_size(rest))
   catch
@@ -129,12 +129,12 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   defp read_reference(id, rest, state) do
     case state.objects do
-      %{^id => {value, nodes}} when nodes + state.nodes < @most_shared ->
+      %{^id => {value, nodes}} when nodes + state.nodes < @max_shared ->
         {value, rest, %{state | nodes: state.nodes + nodes}}
 
       %{^id => _open_or_large} ->
-        needed = MapSet.put(state.needed, id)
-        {%{"$ref" => id}, rest, %{state | needed: needed, refs: state.refs + 1}}
+        ids = MapSet.put(state.referenced_ids, id)
+        {%{"$ref" => id}, rest, %{state | referenced_ids: ids, refs: state.refs + 1}}
 
       _ ->
         fail_decoding("a reference points to an object that does not exist yet")
@@ -154,8 +154,8 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   # The nodes of a linked list refer to each other and to the list. The list's items contain none of these references.
   defp forget_node_references({:fields, _, :linked}, id, refs, state) do
-    needed = state.needed |> Enum.filter(&(&1 < id)) |> MapSet.new()
-    %{state | refs: refs, needed: needed}
+    ids = state.referenced_ids |> Enum.filter(&(&1 < id)) |> MapSet.new()
+    %{state | refs: refs, referenced_ids: ids}
   end
 
   defp forget_node_references(_plan, _id, _refs, state), do: state
@@ -172,7 +172,7 @@ defmodule Situ.Bridge.Psi.Decoder do
 
   defp with_id(value, id, state) do
     cond do
-      not MapSet.member?(state.known, id) -> value
+      not MapSet.member?(state.shared_ids, id) -> value
       is_map(value) and not is_struct(value) -> Map.put(value, "$id", id)
       true -> %{"$id" => id, "$value" => value}
     end
@@ -248,9 +248,9 @@ defmodule Situ.Bridge.Psi.Decoder do
 
     case state.types.by_name do
       %{^name => plan} ->
-        {picture, rest, state} = read_value({:object, plan}, bytes, state)
+        {image, rest, state} = read_value({:object, plan}, bytes, state)
         {_, rest, state} = read_fields(Enum.drop(members, 5), :map, rest, state)
-        {picture, rest, state}
+        {image, rest, state}
 
       _ ->
         fail_decoding("an image is compressed in a way that no schema describes")

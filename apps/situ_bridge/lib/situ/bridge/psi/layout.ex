@@ -76,14 +76,14 @@ defmodule Situ.Bridge.Psi.Layout do
   """
   @spec struct_layout([{String.t(), t()}]) :: t()
   def struct_layout(fields) do
-    {placed, finish} =
+    {positioned, size} =
       Enum.map_reduce(fields, 0, fn {name, layout}, at ->
         at = align_offset(at, value_alignment(layout))
         {{name, at, layout}, at + value_size(layout)}
       end)
 
-    most = fields |> Enum.map(&value_alignment(elem(&1, 1))) |> Enum.max(fn -> 1 end)
-    {:struct, max(align_offset(finish, most), 1), most, placed}
+    alignment = fields |> Enum.map(&value_alignment(elem(&1, 1))) |> Enum.max(fn -> 1 end)
+    {:struct, max(align_offset(size, alignment), 1), alignment, positioned}
   end
 
   @doc """
@@ -94,12 +94,12 @@ defmodule Situ.Bridge.Psi.Layout do
   """
   @spec tuple_layout([{String.t(), t()}]) :: t()
   def tuple_layout(fields) do
-    {:struct, size, align, placed} =
+    {:struct, size, align, positioned} =
       fields
       |> Enum.sort_by(fn {_, layout} -> -value_size(layout) end)
       |> __MODULE__.struct_layout()
 
-    {:tuple, size, align, for({name, _} <- fields, do: List.keyfind(placed, name, 0))}
+    {:tuple, size, align, for({name, _} <- fields, do: List.keyfind(positioned, name, 0))}
   end
 
   defp align_offset(at, to), do: div(at + to - 1, to) * to
@@ -164,8 +164,8 @@ defmodule Situ.Bridge.Psi.Layout do
 
   defp insert_point(digits, scale) do
     digits = String.pad_leading(digits, scale + 1, "0")
-    {whole, fraction} = String.split_at(digits, -scale)
-    whole <> "." <> fraction
+    {integer, fraction} = String.split_at(digits, -scale)
+    integer <> "." <> fraction
   end
 
   @doc "Reads all values in `bytes` and returns them as a list."

@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Psi.Media do
     {3, 64} => :f64
   }
 
-  @most_unpacked 268_435_456
+  @max_unpacked 268_435_456
 
   @types %{
     "Microsoft.Psi.Imaging.Image" => Situ.Image,
@@ -73,7 +73,7 @@ defmodule Situ.Bridge.Psi.Media do
        })
        when is_integer(w) and w > 0 and is_integer(h) and h > 0 do
     with {:ok, rows} <-
-           Situ.Bridge.Gzip.unpack_limited(packed, min(h * (w * 8 + 64), @most_unpacked)),
+           Situ.Bridge.Gzip.unpack_limited(packed, min(h * (w * 8 + 64), @max_unpacked)),
          do:
            Situ.Image.new(
              width: w,

@@ -17,11 +17,11 @@ defmodule Situ.Bridge.Psi.Schema do
           members: [{String.t(), type_name :: String.t()}]
         }
 
-  @most_members 10_000
+  @max_members 10_000
 
   @doc "Parses the schema that follows the header of an entry."
   @spec parse(map(), binary()) :: {:ok, t()} | :error
-  def parse(header, <<n::little-signed-32, rest::binary>>) when n in 0..@most_members do
+  def parse(header, <<n::little-signed-32, rest::binary>>) when n in 0..@max_members do
     with {:ok, members, rest} <- parse_members(n, rest, []) do
       {:ok,
        %__MODULE__{
@@ -38,12 +38,12 @@ defmodule Situ.Bridge.Psi.Schema do
 
   def parse(_header, _rest), do: :error
 
-  defp parse_members(0, rest, found), do: {:ok, Enum.reverse(found), rest}
+  defp parse_members(0, rest, members), do: {:ok, Enum.reverse(members), rest}
 
-  defp parse_members(n, bytes, found) do
+  defp parse_members(n, bytes, members) do
     with {:ok, name, rest} when is_binary(name) <- Bytes.parse_string(bytes),
          {:ok, type, <<_required, rest::binary>>} when is_binary(type) <- Bytes.parse_string(rest) do
-      parse_members(n - 1, rest, [{property_name(name), type} | found])
+      parse_members(n - 1, rest, [{property_name(name), type} | members])
     else
       _ -> :error
     end

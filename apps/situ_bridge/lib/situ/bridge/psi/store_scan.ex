@@ -6,8 +6,8 @@ defmodule Situ.Bridge.Psi.StoreScan do
 
   defmodule Track do
     @moduledoc false
-    # The messages of one stream in order of time. `places` holds 28 bytes for each message.
-    defstruct places: "",
+    # The messages of one stream in order of time. `positions` holds 28 bytes for each message.
+    defstruct positions: "",
               count: 0,
               size: 0,
               latency: 0,
@@ -18,12 +18,12 @@ defmodule Situ.Bridge.Psi.StoreScan do
 
     @type t :: %__MODULE__{}
 
-    @place 28
+    @row_bytes 28
 
     @doc "Returns the position of the message with this ordinal."
-    def position_at(%{places: places}, ordinal) do
+    def position_at(%{positions: positions}, ordinal) do
       <<large::1, extent::31, at::64, length::32, time::signed-96>> =
-        binary_part(places, ordinal * @place, @place)
+        binary_part(positions, ordinal * @row_bytes, @row_bytes)
 
       %{
         file: if(large == 1, do: :large, else: :data),
@@ -61,25 +61,25 @@ defmodule Situ.Bridge.Psi.StoreScan do
   def scan_store(folder, name, entries) do
     large = Files.extent_sizes(folder, name, :large)
     indexed = for {id, entry} <- entries, Entry.indexed?(entry), into: MapSet.new(), do: id
-    acc = %{found: %{}, large: MapSet.new(), indexed: indexed, timeless: 0}
+    acc = %{messages: %{}, large: MapSet.new(), indexed: indexed, timeless: 0}
 
     {acc, damage} = Blocks.reduce({folder, name, :data}, 48, acc, &add_message/2)
-    {whole, lost} = complete_large_blocks(folder, name, large, acc.large)
+    {complete, lost_count} = complete_large_blocks(folder, name, large, acc.large)
 
-    {tracks, behind} =
-      Enum.map_reduce(acc.found, 0, fn {id, found}, behind ->
-        {track, left_out} = build_track(found, whole)
-        {{id, track}, behind + left_out}
+    {tracks, duplicates} =
+      Enum.map_reduce(acc.messages, 0, fn {id, messages}, duplicates ->
+        {track, duplicate_count} = build_track(messages, complete)
+        {{id, track}, duplicates + duplicate_count}
       end)
 
-    {Map.new(tracks), report_losses(lost, behind, acc.timeless) ++ damage}
+    {Map.new(tracks), report_losses(lost_count, duplicates, acc.timeless) ++ damage}
   end
 
-  defp report_losses(lost, behind, timeless) do
+  defp report_losses(lost_count, duplicates, timeless) do
     for {n, sentence} <- [
           {timeless, "messages have an invalid time and are left out"},
-          {lost, "messages have lost their payload in the files for large messages"},
-          {behind,
+          {lost_count, "messages have lost their payload in the files for large messages"},
+          {duplicates,
            "messages have the same time as another message of their stream and are left out"}
         ],
         n > 0,
@@ -118,29 +118,29 @@ defmodule Situ.Bridge.Psi.StoreScan do
          acc
        )
        when extent < 0 and at >= 0 do
-    place = {extent + 0x8000_0000, at}
-    acc = %{acc | large: MapSet.put(acc.large, place)}
-    {extent, at} = place
+    position = {extent + 0x8000_0000, at}
+    acc = %{acc | large: MapSet.put(acc.large, position)}
+    {extent, at} = position
     put_position(acc, id, {times, {:large, extent, at}})
   end
 
   defp add_large_message(_id, _times, _rest, acc), do: acc
 
-  defp put_position(acc, id, found),
-    do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
+  defp put_position(acc, id, message),
+    do: %{acc | messages: Map.update(acc.messages, id, [message], &[message | &1])}
 
   # Finds the complete large messages. The result maps `{extent, position of the block}` to
   # `{extent, position of the payload, length}`.
-  defp complete_large_blocks(folder, name, sizes, places) do
+  defp complete_large_blocks(folder, name, sizes, blocks) do
     context = %{folder: folder, name: name, sizes: sizes}
 
-    whole =
-      for {extent, positions} <- Enum.group_by(places, &elem(&1, 0), &elem(&1, 1)),
+    complete =
+      for {extent, positions} <- Enum.group_by(blocks, &elem(&1, 0), &elem(&1, 1)),
           {at, block} <- complete_blocks(context, extent, Enum.sort(positions)),
           into: %{},
           do: {{extent, at}, block}
 
-    {whole, MapSet.size(places) - map_size(whole)}
+    {complete, MapSet.size(blocks) - map_size(complete)}
   end
 
   defp complete_blocks(context, extent, positions) do
@@ -170,32 +170,32 @@ defmodule Situ.Bridge.Psi.StoreScan do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
          result = :file.pread(file, Enum.map(positions, &{&1, 4})),
          :ok <- :file.close(file),
-         {:ok, read} <- result do
-      for {at, <<length::little-signed-32>>} <- Enum.zip(positions, read), do: {at, length}
+         {:ok, lengths} <- result do
+      for {at, <<length::little-signed-32>>} <- Enum.zip(positions, lengths), do: {at, length}
     else
       _ -> []
     end
   end
 
   # Messages are found in the order in which they were written. Within a stream, this is normally the order of time.
-  defp build_track(found, whole) do
+  defp build_track(messages, complete) do
     messages =
-      found
+      messages
       |> Enum.reverse()
-      |> Enum.flat_map(&pack_message(&1, whole))
+      |> Enum.flat_map(&pack_message(&1, complete))
       |> Enum.sort_by(&elem(&1, 0))
 
-    kept = Enum.dedup_by(messages, &elem(&1, 0))
+    unique = Enum.dedup_by(messages, &elem(&1, 0))
 
-    {Enum.reduce(kept, %Track{}, &count_message/2) |> put_positions(kept),
-     length(messages) - length(kept)}
+    {Enum.reduce(unique, %Track{}, &count_message/2) |> put_positions(unique),
+     length(messages) - length(unique)}
   end
 
-  defp pack_message({{time, created}, {:data, extent, at, length}}, _whole),
+  defp pack_message({{time, created}, {:data, extent, at, length}}, _complete),
     do: [{time, created, length, Track.pack_position(false, extent, at, length, time)}]
 
-  defp pack_message({{time, created}, {:large, extent, at}}, whole) do
-    case whole do
+  defp pack_message({{time, created}, {:large, extent, at}}, complete) do
+    case complete do
       %{{^extent, ^at} => {extent, at, length}} ->
         [{time, created, length, Track.pack_position(true, extent, at, length, time)}]
 
@@ -204,7 +204,7 @@ defmodule Situ.Bridge.Psi.StoreScan do
     end
   end
 
-  defp count_message({time, created, length, _place}, track) do
+  defp count_message({time, created, length, _position}, track) do
     %{
       track
       | count: track.count + 1,
@@ -217,5 +217,6 @@ defmodule Situ.Bridge.Psi.StoreScan do
     }
   end
 
-  defp put_positions(track, kept), do: %{track | places: for(m <- kept, into: "", do: elem(m, 3))}
+  defp put_positions(track, unique),
+    do: %{track | positions: for(m <- unique, into: "", do: elem(m, 3))}
 end

@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Psi.TypeName do
 
   @type t :: %__MODULE__{name: String.t(), args: [t()], arrays: non_neg_integer()}
 
-  @deepest 32
+  @max_depth 32
 
   @doc """
   Parses a name into its parts.
@@ -46,7 +46,7 @@ defmodule Situ.Bridge.Psi.TypeName do
   @spec element_type(t()) :: t()
   def element_type(%{arrays: n} = type) when n > 0, do: %{type | arrays: n - 1}
 
-  defp parse_type(text, depth) when depth > @deepest, do: {%__MODULE__{name: text}, ""}
+  defp parse_type(text, depth) when depth > @max_depth, do: {%__MODULE__{name: text}, ""}
 
   defp parse_type(text, depth) do
     {name, rest} = split_name(text)
@@ -65,14 +65,14 @@ defmodule Situ.Bridge.Psi.TypeName do
   defp parse_arguments("[[" <> rest, depth), do: collect_arguments(rest, depth, [])
   defp parse_arguments(rest, _depth), do: {[], rest}
 
-  defp collect_arguments(text, depth, found) do
+  defp collect_arguments(text, depth, args) do
     {type, rest} = parse_type(text, depth + 1)
-    found = [type | found]
+    args = [type | args]
 
     case rest do
-      "],[" <> rest -> collect_arguments(rest, depth, found)
-      "]]" <> rest -> {Enum.reverse(found), rest}
-      rest -> {Enum.reverse(found), rest}
+      "],[" <> rest -> collect_arguments(rest, depth, args)
+      "]]" <> rest -> {Enum.reverse(args), rest}
+      rest -> {Enum.reverse(args), rest}
     end
   end
 

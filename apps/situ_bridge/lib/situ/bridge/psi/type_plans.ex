@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Psi.TypePlans do
   @type handler :: {:value | :object, plan() | {:type, String.t()} | nil}
   @type t :: %__MODULE__{}
 
-  @deepest 32
+  @max_depth 32
 
   @doc """
   Builds the plans of all types. `runtime` maps type numbers to the type names that streams declare, because the first
@@ -31,10 +31,12 @@ defmodule Situ.Bridge.Psi.TypePlans do
           into: %{},
           do: {TypeName.short_name(name), schema}
 
-    told =
+    runtime_names =
       for {id, name} <- runtime, is_binary(name), into: %{}, do: {id, TypeName.short_name(name)}
 
-    names = Map.merge(told, Map.new(schemas, &{&1.id, TypeName.short_name(&1.type_name)}))
+    names =
+      Map.merge(runtime_names, Map.new(schemas, &{&1.id, TypeName.short_name(&1.type_name)}))
+
     types = put_plans(%__MODULE__{schemas: by_name, names: names})
 
     others =
@@ -226,13 +228,13 @@ defmodule Situ.Bridge.Psi.TypePlans do
 
     cond do
       primitive -> primitive
-      schema && depth < @deepest -> build_layout(types, name, schema, depth)
+      schema && depth < @max_depth -> build_layout(types, name, schema, depth)
       true -> unlisted_layout(types, TypeName.parse(name), depth)
     end
   end
 
   defp unlisted_layout(types, %{name: "System.Nullable`1", args: [inner]}, depth)
-       when depth < @deepest,
+       when depth < @max_depth,
        do: nullable_layout(types, inner, depth + 1)
 
   defp unlisted_layout(_types, %{name: "Microsoft.Psi." <> _}, _depth), do: :int32
@@ -270,11 +272,11 @@ defmodule Situ.Bridge.Psi.TypePlans do
       {"System.Nullable`1", [_]} ->
         {:optional, hd(inner.())}
 
-      {"System.Collections." <> _ = many, [_]} ->
-        if Collections.list?(many), do: {:list, hd(inner.())}, else: plain_type(types, parsed)
+      {"System.Collections." <> _ = name, [_]} ->
+        if Collections.list?(name), do: {:list, hd(inner.())}, else: plain_type(types, parsed)
 
-      {"System.Collections." <> _ = many, [_, _]} ->
-        if Collections.map?(many),
+      {"System.Collections." <> _ = name, [_, _]} ->
+        if Collections.map?(name),
           do: List.to_tuple([:map | inner.()]),
           else: plain_type(types, parsed)
 

@@ -15,7 +15,9 @@ defmodule Situ.Bridge.Recorder.Exporter do
   end
 
   def write(stream, %__MODULE__{} = exporter, topic, opts) do
-    {given, placement} = Keyword.split(opts, Keyword.keys(exporter.writer.topic_options()))
+    {topic_options, placement} =
+      Keyword.split(opts, Keyword.keys(exporter.writer.topic_options()))
+
     Server.expect_stream(exporter.server)
 
     Situ.via(
@@ -24,7 +26,7 @@ defmodule Situ.Bridge.Recorder.Exporter do
       [
         server: exporter.server,
         topic: topic,
-        given: given,
+        topic_options: topic_options,
         name: "#{Path.basename(exporter.path)} #{topic}"
       ] ++ placement
     )

@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Recorder.Server do
   use GenServer, restart: :temporary
   alias Situ.Error
 
-  @flush 1_000
+  @flush_ms 1_000
 
   @doc "Starts the server without a link, so that it can still write the index after a pipeline crashes."
   def start(pipeline, file), do: GenServer.start(__MODULE__, {pipeline, file})
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Recorder.Server do
   @impl true
   def init({pipeline, {module, path, opts}}) do
     Process.monitor(pipeline)
-    {:ok, %{module: module, path: path, opts: opts, writer: nil, streams: 0, dirty: false}}
+    {:ok, %{module: module, path: path, opts: opts, writer: nil, streams: 0, dirty?: false}}
   end
 
   @impl true
@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Recorder.Server do
   def handle_call(:open, _from, %{writer: nil} = state) do
     case state.module.create(state.path, state.opts) do
       {:ok, writer} ->
-        Process.send_after(self(), :flush, @flush)
+        Process.send_after(self(), :flush, @flush_ms)
         {:reply, {:ok, nil}, %{state | writer: writer}}
 
       error ->
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Recorder.Server do
 
   def handle_call({:write, topic, messages, opts}, _from, state) do
     case append_messages(state, topic, messages, opts) do
-      {:ok, writer} -> {:reply, {:ok, nil}, %{state | writer: writer, dirty: true}}
+      {:ok, writer} -> {:reply, {:ok, nil}, %{state | writer: writer, dirty?: true}}
       error -> {:reply, error, state}
     end
   end
@@ -73,8 +73,8 @@ defmodule Situ.Bridge.Recorder.Server do
   def handle_info(:flush, %{writer: nil} = state), do: {:noreply, state}
 
   def handle_info(:flush, state) do
-    Process.send_after(self(), :flush, @flush)
-    {:noreply, if(state.dirty, do: flush_writer(state), else: state)}
+    Process.send_after(self(), :flush, @flush_ms)
+    {:noreply, if(state.dirty?, do: flush_writer(state), else: state)}
   end
 
   def handle_info({:DOWN, _, :process, _, _}, state) do
@@ -85,7 +85,7 @@ defmodule Situ.Bridge.Recorder.Server do
   # A failed flush fails again on the next write, which reports the error.
   defp flush_writer(state) do
     case state.module.flush(state.writer) do
-      {:ok, writer} -> %{state | writer: writer, dirty: false}
+      {:ok, writer} -> %{state | writer: writer, dirty?: false}
       {:error, _} -> state
     end
   end

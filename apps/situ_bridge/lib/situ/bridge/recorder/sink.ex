@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Recorder.Sink do
     options: [
       server: [type: :pid, required: true],
       topic: [type: :string, required: true],
-      given: [type: :keyword, default: []]
+      topic_options: [type: :keyword, default: []]
     ]
 
   alias Situ.Bridge.Recorder.Server
@@ -26,7 +26,10 @@ defmodule Situ.Bridge.Recorder.Sink do
 
   @impl true
   def handle_messages(:in, messages, _context, state) do
-    Situ.Error.unwrap!(Server.write_messages(state.server, state.topic, messages, state.given))
+    Situ.Error.unwrap!(
+      Server.write_messages(state.server, state.topic, messages, state.topic_options)
+    )
+
     {[], state}
   end
 

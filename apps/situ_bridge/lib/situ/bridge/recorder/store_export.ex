@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Recorder.StoreExport do
   alias Situ.Store.StreamInfo
 
   def export_store(module, store, path, opts) do
-    {wanted, opts} = Keyword.pop(opts, :streams)
-    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {selection, opts} = Keyword.pop(opts, :streams)
+    {read_opts, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _written -> :ok end)
     {topic, opts} = Keyword.split(opts, Keyword.keys(module.topic_options()))
     streams = Store.streams(store)
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Recorder.StoreExport do
       topics: topics,
       infos: infos,
       progress: progress,
-      heads: fn -> build_heads(store, wanted, reading, topic[:encoding]) end
+      heads: fn -> build_heads(store, selection, read_opts, topic[:encoding]) end
     }
 
     write_file(job, MapSet.new())
@@ -152,19 +152,20 @@ defmodule Situ.Bridge.Recorder.StoreExport do
   defp known_type?(type, _ros), do: Library.fetch(Definition.strip_kind(type)) != :error
 
   # Returns each stream with its next messages, ordered by time: `{time, name, messages, next_ordinal, stream}`.
-  defp build_heads(store, wanted, reading, encoding) do
+  defp build_heads(store, selection, read_opts, encoding) do
     streams = Store.streams(store)
     extras = ExtraFields.find_streams(streams)
-    folded = for {_, %StreamInfo{name: name}} <- extras, do: name
+    extra_names = for {_, %StreamInfo{name: name}} <- extras, do: name
 
     for info <- streams,
-        wanted == nil or info.name in wanted,
-        info.name not in folded,
+        selection == nil or info.name in selection,
+        info.name not in extra_names,
         info.count > 0,
         stream =
-          {with_all_fields(store, info.type_name, encoding), {info, extras[info.name]}, reading},
+          {with_all_fields(store, info.type_name, encoding), {info, extras[info.name]}, read_opts},
         reduce: [] do
-      heads -> put_head([], info.name, first_ordinal(store, info, reading[:from]), stream, heads)
+      heads ->
+        put_head([], info.name, first_ordinal(store, info, read_opts[:from]), stream, heads)
     end
   end
 
@@ -198,10 +199,10 @@ defmodule Situ.Bridge.Recorder.StoreExport do
 
   defp insert_head(heads, _time, new), do: [new | heads]
 
-  defp read_messages({store, {info, extra}, reading}, from) do
-    to = reading[:to] || :unbounded
+  defp read_messages({store, {info, extra}, read_opts}, from) do
+    to = read_opts[:to] || :unbounded
 
-    case store.module.read(store.state, info, from, to, 100, reading) do
+    case store.module.read(store.state, info, from, to, 100, read_opts) do
       {:ok, [], next} -> {[], next}
       {:ok, messages, next} -> {ExtraFields.join_extra(messages, store, extra, from), next}
       {:error, error} -> raise error

@@ -1,13 +1,4 @@
 defmodule Situ.Bridge.Ros.Bag do
-  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
-  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
-  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
-  alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
-  alias Situ.{Error, Message}
-  alias Situ.Store.{StreamInfo, Undecoded}
-
-  @schema Codec.time_options() ++ Codec.reader_options()
-
   @moduledoc """
   Opens ROS 1 bags (version 2.0) as recordings with `Situ.Store.open("drive.bag")`. They also work in the studio, in
   `bin/situ store` and for replay. `create/3` and `write/4` write a bag while a pipeline runs, and `export/3` writes
@@ -18,22 +9,30 @@ defmodule Situ.Bridge.Ros.Bag do
       Situ.Bridge.Ros.Bag.write(images, drive, "/camera/image_raw")
 
   Each topic is a stream. Messages are decoded with the definition in the bag, and standard types become Situ's types
-  (`Situ.Bridge.Ros.StandardTypes`). Messages of a topic with the same time are placed one nanosecond apart. Bags
+  (the table in `Situ.Bridge.Ros`). Messages of a topic with the same time are placed one nanosecond apart. Bags
   without an index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4;
   bzip2 chunks are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is
   given.
 
   Depth images that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) become `Situ.DepthImage`, with
   the unit given in the bag. The camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.
-
-  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
   """
+
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
+  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
+  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
+  alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  @schema Codec.time_options() ++ Codec.reader_options()
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
+
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 
-  @most_bytes 16 * 1024 * 1024
+  @max_bytes 16 * 1024 * 1024
 
   defstruct [:path, :size, :name, :contents, :tracks, :streams, :notes]
 
@@ -104,15 +103,15 @@ defmodule Situ.Bridge.Ros.Bag do
       {_, %{definition: definition}} = hd(connections)
       {codec, situ, note} = Codec.new("ros1", {type, "ros1msg", definition}, topic)
 
-      places =
+      positions =
         for {number, _} <- connections,
-            rows <- Map.get(state.contents.places, number, []),
+            rows <- Map.get(state.contents.positions, number, []),
             row <- rows,
             do: row
 
-      recorded = places |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end)
+      recorded = positions |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end)
       stamps? = times == :header and Codec.stamp_encoding(codec) != nil
-      places = if stamps?, do: put_stamps(state, places), else: places
+      positions = if stamps?, do: put_stamps(state, positions), else: positions
 
       track = %{
         id: elem(hd(connections), 0),
@@ -121,8 +120,8 @@ defmodule Situ.Bridge.Ros.Bag do
         situ: situ,
         codec: Codec.set_message_mode(codec, opts[:messages]),
         note: note,
-        count: length(places),
-        places: MessageIndex.pack(places),
+        count: length(positions),
+        positions: MessageIndex.pack(positions),
         recorded: recorded,
         stamps?: stamps?,
         schema: if(opts[:messages] == :apart, do: {type, "ros1msg", definition})
@@ -137,20 +136,24 @@ defmodule Situ.Bridge.Ros.Bag do
 
   defp read_first(state, track) do
     with %{count: count} when count > 0 <- track,
-         {:ok, [{_, {_, bytes}}]} <- read_messages(state, [MessageIndex.row_at(track.places, 0)]),
+         {:ok, [{_, {_, bytes}}]} <-
+           read_messages(state, [MessageIndex.row_at(track.positions, 0)]),
          {:ok, data} <- Codec.decode(track.codec, bytes),
          do: data,
          else: (_ -> nil)
   end
 
-  defp put_stamps(state, places) do
-    case read_messages(state, Enum.sort_by(places, fn {_, chunk, offset} -> {chunk, offset} end)) do
-      {:ok, found} ->
-        for {{time, chunk, offset}, {_, bytes}} <- found,
+  defp put_stamps(state, positions) do
+    case read_messages(
+           state,
+           Enum.sort_by(positions, fn {_, chunk, offset} -> {chunk, offset} end)
+         ) do
+      {:ok, messages} ->
+        for {{time, chunk, offset}, {_, bytes}} <- messages,
             do: {parse_stamp(bytes) || time, chunk, offset}
 
       {:error, _} ->
-        places
+        positions
     end
   end
 
@@ -159,24 +162,24 @@ defmodule Situ.Bridge.Ros.Bag do
   defp parse_stamp(_), do: nil
 
   defp put_streams(state) do
-    {streams, _taken} =
+    {streams, _names} =
       Enum.map_reduce(state.tracks, MapSet.new(), &describe_stream(state, &1, &2))
 
     notes = for %{note: note} = track <- state.tracks, note != nil, do: "#{track.topic}: #{note}"
     %{state | streams: streams, notes: notes, tracks: Map.new(state.tracks, &{&1.id, &1})}
   end
 
-  defp describe_stream(state, track, taken) do
+  defp describe_stream(state, track, names) do
     name =
-      if MapSet.member?(taken, track.topic),
+      if MapSet.member?(names, track.topic),
         do: "#{track.topic} (#{track.type})",
         else: track.topic
 
     {first, last} =
       if track.count > 0,
         do:
-          {elem(MessageIndex.row_at(track.places, 0), 0),
-           elem(MessageIndex.row_at(track.places, track.count - 1), 0)},
+          {elem(MessageIndex.row_at(track.positions, 0), 0),
+           elem(MessageIndex.row_at(track.positions, track.count - 1), 0)},
         else: {nil, nil}
 
     {first_recorded, last_recorded} = track.recorded
@@ -198,7 +201,7 @@ defmodule Situ.Bridge.Ros.Bag do
       supplemental: ExtraFields.build_metadata([], track.schema)
     }
 
-    {info, MapSet.put(taken, name)}
+    {info, MapSet.put(names, name)}
   end
 
   @impl true
@@ -232,37 +235,37 @@ defmodule Situ.Bridge.Ros.Bag do
   @impl true
   def seek(state, info, time) do
     track = Map.fetch!(state.tracks, info.id)
-    {:ok, MessageIndex.seek(track.places, time)}
+    {:ok, MessageIndex.seek(track.positions, time)}
   end
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     track = Map.fetch!(state.tracks, info.id)
 
-    places = MessageIndex.slice(track.places, ordinal, to, limit)
+    positions = MessageIndex.slice(track.positions, ordinal, to, limit)
 
     cond do
-      places == [] ->
+      positions == [] ->
         {:ok, [], ordinal}
 
       opts[:envelopes] && not track.stamps? ->
-        {:ok, build_envelopes(track, places, ordinal), ordinal + length(places)}
+        {:ok, build_envelopes(track, positions, ordinal), ordinal + length(positions)}
 
       true ->
-        decode_messages(state, track, places, ordinal, opts[:envelopes] == true)
+        decode_messages(state, track, positions, ordinal, opts[:envelopes] == true)
     end
   end
 
   # Builds envelopes without reading the messages, so both times are the recording time.
-  defp build_envelopes(track, places, ordinal) do
-    for {{time, _, _}, at} <- Enum.with_index(places, ordinal),
+  defp build_envelopes(track, positions, ordinal) do
+    for {{time, _, _}, at} <- Enum.with_index(positions, ordinal),
         do: build_message(track, {time, time}, at, nil)
   end
 
-  defp decode_messages(state, track, places, ordinal, envelopes?) do
-    with {:ok, found} <- read_messages(state, places) do
+  defp decode_messages(state, track, positions, ordinal, envelopes?) do
+    with {:ok, messages} <- read_messages(state, positions) do
       messages =
-        for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(found, ordinal) do
+        for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(messages, ordinal) do
           recorded = if track.stamps? and recorded != nil, do: recorded, else: time
 
           data =
@@ -298,17 +301,17 @@ defmodule Situ.Bridge.Ros.Bag do
 
   # Reads the recording times and bytes of as many messages as fit into a batch. A chunk is unpacked once for
   # consecutive messages.
-  defp read_messages(state, places) do
+  defp read_messages(state, positions) do
     with_file(state.path, fn file ->
-      places
+      positions
       |> Enum.chunk_by(&elem(&1, 1))
-      |> Enum.reduce_while({:ok, [], 0}, fn [{_, at, _} | _] = group, {:ok, found, bytes} ->
+      |> Enum.reduce_while({:ok, [], 0}, fn [{_, at, _} | _] = group, {:ok, messages, bytes} ->
         case Chunk.read(file, at, state.size) do
-          _ when bytes > @most_bytes ->
-            {:halt, {:ok, found, bytes}}
+          _ when bytes > @max_bytes ->
+            {:halt, {:ok, messages, bytes}}
 
           {:ok, records} ->
-            collect_group(records, group, found, bytes, at)
+            collect_group(records, group, messages, bytes, at)
 
           {:error, why} ->
             {:halt,
@@ -320,13 +323,13 @@ defmodule Situ.Bridge.Ros.Bag do
       end)
     end)
     |> case do
-      {:ok, found, _} -> {:ok, found |> Enum.reverse() |> Enum.concat()}
+      {:ok, messages, _} -> {:ok, messages |> Enum.reverse() |> Enum.concat()}
       error -> error
     end
   end
 
-  defp collect_group(records, group, found, bytes, at) do
-    rows = for {_, _, offset} = place <- group, do: {place, parse_record(records, offset)}
+  defp collect_group(records, group, messages, bytes, at) do
+    rows = for {_, _, offset} = position <- group, do: {position, parse_record(records, offset)}
 
     if Enum.any?(rows, &(elem(&1, 1) == nil)),
       do:
@@ -335,7 +338,8 @@ defmodule Situ.Bridge.Ros.Bag do
           Error.new(:damaged, "the index of the chunk at byte #{at} does not point to a message")}},
       else:
         {:cont,
-         {:ok, [rows | found], bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
+         {:ok, [rows | messages],
+          bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
   end
 
   defp parse_record(records, offset) when offset < byte_size(records) do

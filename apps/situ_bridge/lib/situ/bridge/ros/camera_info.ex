@@ -33,8 +33,8 @@ defmodule Situ.Bridge.Ros.CameraInfo do
 
   defp parse_distortion(d, model) when is_list(d) do
     case {Enum.all?(d, &is_number/1), d} do
-      {true, [k1, k2, p1, p2 | more]} when length(more) <= 4 and model in @models ->
-        {:ok, [k1, k2 | more], {p1, p2}, model != @inverse}
+      {true, [k1, k2, p1, p2 | rest]} when length(rest) <= 4 and model in @models ->
+        {:ok, [k1, k2 | rest], {p1, p2}, model != @inverse}
 
       {true, d} when d == [] and model in @models ->
         {:ok, [], {0.0, 0.0}, true}
@@ -53,9 +53,9 @@ defmodule Situ.Bridge.Ros.CameraInfo do
   @doc "Renames the fields D, K, R and P to the upper or lower case that the encoding uses."
   @spec rename_matrices(map(), :ros1 | :cdr) :: map()
   def rename_matrices(message, encoding) do
-    Enum.reduce(~w(d k r p), message, fn small, message ->
-      large = String.upcase(small)
-      {from, to} = if encoding == :cdr, do: {large, small}, else: {small, large}
+    Enum.reduce(~w(d k r p), message, fn lower, message ->
+      upper = String.upcase(lower)
+      {from, to} = if encoding == :cdr, do: {upper, lower}, else: {lower, upper}
 
       case Map.pop(message, from) do
         {nil, message} -> message

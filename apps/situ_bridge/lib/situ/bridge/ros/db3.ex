@@ -1,32 +1,39 @@
 defmodule Situ.Bridge.Ros.Db3 do
-  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
-
-  @schema Codec.time_options() ++ Codec.reader_options()
   @moduledoc """
   Opens ROS 2 bags in SQLite (`.db3`) as recordings with `Situ.Store.open("drive/drive_0.db3")`. They also work in the
   studio, in `bin/situ store` and for replay.
 
+      {:ok, store} = Situ.Store.open("drive/drive_0.db3", reader_opts: [times: :header])
+      {:ok, messages} = Situ.Store.read(store, "/imu")
+
   Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
-  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each
+  Iron, or with ROS's standard definitions. Standard types become Situ's types (the table in `Situ.Bridge.Ros`). Each
   file of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the
   file in a separate process. The file is never modified.
-
-  ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
-
-  #{Situ.Options.docs(@schema)}
   """
-  @behaviour Situ.Recording
-  @behaviour Situ.Recording.Format
+
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
   alias Situ.Bridge.Ros.Db3.Sqlite
   alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
   alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
 
+  @schema Codec.time_options() ++ Codec.reader_options()
+
+  Situ.Options.add_to_moduledoc(__MODULE__, @schema, "`reader_opts:` of `Situ.Store.open/2`")
+
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
+
   # Stands in for a message that another program deleted after the file was opened.
-  @gone %Undecoded{codec: "cdr", bytes: "", reason: "the message was deleted from the file"}
+  @deleted_message %Undecoded{
+    codec: "cdr",
+    bytes: "",
+    reason: "the message was deleted from the file"
+  }
 
   # Maximum size of the messages in one batch, in bytes.
-  @most 16 * 1024 * 1024
+  @max_batch 16 * 1024 * 1024
 
   defstruct [:path, :name, :tracks, :streams, :notes]
 
@@ -44,12 +51,12 @@ defmodule Situ.Bridge.Ros.Db3 do
          {:ok, definitions} <- read_definitions(path),
          {:ok, rows} <-
            Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
-      places =
+      positions =
         rows |> Enum.flat_map(&parse_position/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
       tracks =
         for topic <- topics,
-            track = build_track(topic, definitions, places, opts[:messages]),
+            track = build_track(topic, definitions, positions, opts[:messages]),
             do: track
 
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
@@ -86,10 +93,14 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   # Files from before Iron contain no definitions.
   defp read_definitions(path) do
-    there = "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
-    all = "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
+    table_sql =
+      "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
 
-    with {:ok, [_]} <- Sqlite.query(path, there), {:ok, rows} <- Sqlite.query(path, all) do
+    definitions_sql =
+      "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
+
+    with {:ok, [_]} <- Sqlite.query(path, table_sql),
+         {:ok, rows} <- Sqlite.query(path, definitions_sql) do
       {:ok,
        for(
          [type, "ros2msg", hex] <- rows,
@@ -103,13 +114,13 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_track([id, topic, type, format], definitions, places, messages) do
+  defp build_track([id, topic, type, format], definitions, positions, messages) do
     case Integer.parse(id) do
       {id, ""} ->
-        plain = Definition.strip_kind(type)
+        name = Definition.strip_kind(type)
 
         schema =
-          case {definitions, Library.fetch(plain, :ros2)} do
+          case {definitions, Library.fetch(name, :ros2)} do
             {%{^type => text}, _} when text != "" -> {type, "ros2msg", text}
             {_, {:ok, text}} -> {type, "ros2msg", text}
             _ -> nil
@@ -118,12 +129,12 @@ defmodule Situ.Bridge.Ros.Db3 do
         {codec, situ, note} = Codec.new(format, schema, topic)
         codec = Codec.set_message_mode(codec, messages)
 
-        rows = Map.get(places, id, [])
+        rows = Map.get(positions, id, [])
 
         %{
           id: id,
           topic: topic,
-          type: plain,
+          type: name,
           codec: codec,
           situ: situ,
           note: note,
@@ -138,7 +149,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_track(_other, _definitions, _places, _messages), do: nil
+  defp build_track(_other, _definitions, _positions, _messages), do: nil
 
   # Takes originating times from the headers of messages that begin with one.
   defp put_stamps(tracks, path, :header) do
@@ -256,16 +267,16 @@ defmodule Situ.Bridge.Ros.Db3 do
         {:ok, [], ordinal}
 
       opts[:envelopes] && not track.stamps? ->
-        found = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
-        {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
+        data_by_id = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
+        {:ok, build_messages(rows, ordinal, track, data_by_id), ordinal + length(rows)}
 
       true ->
-        with {:ok, found} <- fetch_messages(state, track, rows, opts[:envelopes] == true),
-             do: {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
+        with {:ok, data_by_id} <- fetch_messages(state, track, rows, opts[:envelopes] == true),
+             do: {:ok, build_messages(rows, ordinal, track, data_by_id), ordinal + length(rows)}
     end
   end
 
-  defp take_batch([row | rows], bytes) when bytes < @most,
+  defp take_batch([row | rows], bytes) when bytes < @max_batch,
     do: [row | take_batch(rows, bytes + elem(row, 2))]
 
   defp take_batch(_rows, _bytes), do: []
@@ -276,10 +287,10 @@ defmodule Situ.Bridge.Ros.Db3 do
     column = if envelopes?, do: "''", else: "hex(data)"
     sql = "select id, timestamp, #{column} from messages where id in (#{ids})"
 
-    with {:ok, found} <- Sqlite.query(state.path, sql) do
+    with {:ok, data_by_id} <- Sqlite.query(state.path, sql) do
       {:ok,
        for(
-         [id, recorded, hex] <- found,
+         [id, recorded, hex] <- data_by_id,
          [id, recorded] <- parse_numbers([id, recorded]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
@@ -288,9 +299,9 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp build_messages(rows, ordinal, track, found) do
+  defp build_messages(rows, ordinal, track, data_by_id) do
     for {{time, id, _}, n} <- Enum.with_index(rows, ordinal) do
-      {recorded, data} = Map.get(found, id, {time, @gone})
+      {recorded, data} = Map.get(data_by_id, id, {time, @deleted_message})
       recorded = if track.stamps?, do: recorded, else: time
 
       %Message{

@@ -1,18 +1,11 @@
 defmodule Situ.Bridge.Ros.Definition do
-  @moduledoc """
-  Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists of a
-  type and, separated by lines of `=`, the types that it contains.
-
-      iex> alias Situ.Bridge.Ros.Definition
-      iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
-      iex> definition.types["geometry_msgs/Point"].fields
-      [{"x", :float64}, {"y", :float64}, {"z", :float64}]
-      iex> Definition.md5(definition)
-      "4a842b65f413084dc2b10fb484ea7f17"
-
-  The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
-  name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2 inserts.
-  """
+  @moduledoc false
+  # Parses message definitions of ROS 1 and ROS 2 (`.msg`), as found in files, bags and MCAP. A definition consists
+  # of a type and, separated by lines of `=`, the types that it contains.
+  #
+  # The type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`),
+  # `{:message, name}`, `{:array, type, n}` or `{:list, type}`. Type names do not contain the `msg/` that ROS 2
+  # inserts.
   alias Situ.Bridge.Ros.Library
 
   @enforce_keys [:name, :types, :text]
@@ -25,7 +18,7 @@ defmodule Situ.Bridge.Ros.Definition do
           | {:list, field_type()}
   @type message :: %{
           fields: [{String.t(), field_type()}],
-          spelled: [String.t()],
+          texts: [String.t()],
           constants: [{type :: String.t(), name :: String.t(), value :: String.t()}]
         }
   @type t :: %__MODULE__{name: String.t(), types: %{String.t() => message()}, text: String.t()}
@@ -49,12 +42,19 @@ defmodule Situ.Bridge.Ros.Definition do
     "time" => :time,
     "duration" => :duration
   }
-  @most_types 1_000
+  @max_types 1_000
 
   @doc """
   Parses a definition. Types that the text does not define are looked up in the standard types of ROS 1 or ROS 2
   (`Situ.Bridge.Ros.Library`). Errors are sentences that describe a malformed line, an unknown type, or a type that
   contains itself.
+
+      iex> alias Situ.Bridge.Ros.Definition
+      iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
+      iex> definition.types["geometry_msgs/Point"].fields
+      [{"x", :float64}, {"y", :float64}, {"z", :float64}]
+      iex> Definition.md5(definition)
+      "4a842b65f413084dc2b10fb484ea7f17"
   """
   @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text, dialect \\ :ros1) do
@@ -74,7 +74,7 @@ defmodule Situ.Bridge.Ros.Definition do
     Map.new(types, fn
       {name, %{fields: []} = type} ->
         {name,
-         %{type | fields: [{"structure_needs_at_least_one_member", :uint8}], spelled: ["uint8"]}}
+         %{type | fields: [{"structure_needs_at_least_one_member", :uint8}], texts: ["uint8"]}}
 
       other ->
         other
@@ -132,11 +132,11 @@ defmodule Situ.Bridge.Ros.Definition do
     end)
   end
 
-  defp check_type_count({:ok, types}) when map_size(types) <= @most_types,
+  defp check_type_count({:ok, types}) when map_size(types) <= @max_types,
     do: {:cont, {:ok, types}}
 
   defp check_type_count({:ok, _}),
-    do: {:halt, {:error, "the definition has more than #{@most_types} types"}}
+    do: {:halt, {:error, "the definition has more than #{@max_types} types"}}
 
   defp check_type_count(error), do: {:halt, error}
 
@@ -145,15 +145,15 @@ defmodule Situ.Bridge.Ros.Definition do
 
     text
     |> String.split(["\r\n", "\n"])
-    |> Enum.reduce_while({:ok, %{fields: [], spelled: [], constants: []}}, fn line,
-                                                                              {:ok, message} ->
+    |> Enum.reduce_while({:ok, %{fields: [], texts: [], constants: []}}, fn line,
+                                                                            {:ok, message} ->
       case parse_line(line, package) do
         nil ->
           {:cont, {:ok, message}}
 
         {:field, field, text} ->
           {:cont,
-           {:ok, %{message | fields: [field | message.fields], spelled: [text | message.spelled]}}}
+           {:ok, %{message | fields: [field | message.fields], texts: [text | message.texts]}}}
 
         {:constant, constant} ->
           {:cont, {:ok, %{message | constants: [constant | message.constants]}}}
@@ -258,7 +258,7 @@ defmodule Situ.Bridge.Ros.Definition do
 
   defp ensure_type(name, types, dialect) do
     case Library.fetch(name, dialect) do
-      {:ok, text} when map_size(types) <= @most_types -> parse_section(name, text, types)
+      {:ok, text} when map_size(types) <= @max_types -> parse_section(name, text, types)
       _ -> {:error, "the type #{name} is not defined"}
     end
   end
@@ -268,8 +268,8 @@ defmodule Situ.Bridge.Ros.Definition do
   defp inner_type({:list, type}), do: inner_type(type)
   defp inner_type(_primitive), do: nil
 
-  defp check_finite(name, types, above) do
-    if name in above do
+  defp check_finite(name, types, parents) do
+    if name in parents do
       {:error, "the type #{name} contains itself"}
     else
       types[name].fields
@@ -277,7 +277,7 @@ defmodule Situ.Bridge.Ros.Definition do
       |> Enum.uniq()
       |> Enum.reject(&is_nil/1)
       |> Enum.reduce_while(:ok, fn inner, :ok ->
-        case check_finite(inner, types, [name | above]) do
+        case check_finite(inner, types, [name | parents]) do
           :ok -> {:cont, :ok}
           error -> {:halt, error}
         end
@@ -293,15 +293,15 @@ defmodule Situ.Bridge.Ros.Definition do
   defp hash_text(text), do: :md5 |> :crypto.hash(text) |> Base.encode16(case: :lower)
 
   defp md5_text(name, types) do
-    %{fields: fields, spelled: spelled, constants: constants} = Map.fetch!(types, name)
-    fixed = for {type, name, value} <- constants, do: "#{type} #{name}=#{value}"
-    Enum.join(fixed ++ Enum.zip_with(fields, spelled, &md5_line(&1, &2, types)), "\n")
+    %{fields: fields, texts: texts, constants: constants} = Map.fetch!(types, name)
+    constant_lines = for {type, name, value} <- constants, do: "#{type} #{name}=#{value}"
+    Enum.join(constant_lines ++ Enum.zip_with(fields, texts, &md5_line(&1, &2, types)), "\n")
   end
 
   # A field with a message type is hashed with the MD5 sum of that type, without array brackets.
-  defp md5_line({name, type}, spelled, types) do
+  defp md5_line({name, type}, text, types) do
     case inner_type(type) do
-      nil -> "#{spelled |> String.split("<=") |> hd()} #{name}"
+      nil -> "#{text |> String.split("<=") |> hd()} #{name}"
       message -> "#{hash_type(message, types)} #{name}"
     end
   end

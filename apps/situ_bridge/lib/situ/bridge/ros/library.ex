@@ -4,10 +4,10 @@ defmodule Situ.Bridge.Ros.Library do
   # files in `priv/ros` list types, each after a line `MSG:`.
 
   @external_resource common = Path.expand("../../../../priv/ros/common.msg", __DIR__)
-  @external_resource newer = Path.expand("../../../../priv/ros/ros2.msg", __DIR__)
+  @external_resource ros2_path = Path.expand("../../../../priv/ros/ros2.msg", __DIR__)
 
-  [definitions, different] =
-    for path <- [common, newer] do
+  [definitions, overrides] =
+    for path <- [common, ros2_path] do
       for part <- String.split(File.read!(path), ~r/^={20,}\s*$/m),
           [_, name, text] <- [Regex.run(~r/\A\s*MSG:\s*(\S+)[^\n]*\n?(.*)\z/s, part)],
           into: %{},
@@ -16,12 +16,12 @@ defmodule Situ.Bridge.Ros.Library do
 
   @definitions definitions
   # In ROS 2, times are messages, and some types differ.
-  @newer definitions
-         |> Map.new(fn {name, text} ->
-           text = String.replace(text, ~r/^time(?=[ \[])/m, "builtin_interfaces/Time")
-           {name, String.replace(text, ~r/^duration(?=[ \[])/m, "builtin_interfaces/Duration")}
-         end)
-         |> Map.merge(different)
+  @ros2 definitions
+        |> Map.new(fn {name, text} ->
+          text = String.replace(text, ~r/^time(?=[ \[])/m, "builtin_interfaces/Time")
+          {name, String.replace(text, ~r/^duration(?=[ \[])/m, "builtin_interfaces/Duration")}
+        end)
+        |> Map.merge(overrides)
 
   @type dialect :: :ros1 | :ros2
 
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Ros.Library do
   @spec fetch(String.t(), dialect()) :: {:ok, String.t()} | :error
   def fetch(name, dialect \\ :ros1)
   def fetch(name, :ros1), do: Map.fetch(@definitions, name)
-  def fetch(name, :ros2), do: Map.fetch(@newer, name)
+  def fetch(name, :ros2), do: Map.fetch(@ros2, name)
 
   @doc "Returns the names of all ROS 1 types."
   @spec type_names() :: [String.t()]

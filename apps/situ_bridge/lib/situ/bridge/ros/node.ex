@@ -12,8 +12,8 @@ defmodule Situ.Bridge.Ros.Node do
   alias Situ.Bridge.Ros.{Address, PublisherLink, Registrar, SlaveCall}
   alias Situ.Error
 
-  @first_wait 100
-  @longest_wait 5_000
+  @min_wait_ms 100
+  @max_wait_ms 5_000
 
   defstruct [
     :address,
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Ros.Node do
     :registrar,
     :uri,
     slaves: MapSet.new(),
-    leaving: MapSet.new(),
+    closing_links: MapSet.new(),
     links: %{},
     waits: %{},
     publishers: []
@@ -69,8 +69,8 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   def handle_call({:slave, method, arguments}, _from, state) do
-    {answer, state} = handle_slave_call(method, arguments, state)
-    {:reply, answer, state}
+    {reply, state} = handle_slave_call(method, arguments, state)
+    {:reply, reply, state}
   end
 
   defp handle_slave_call(
@@ -134,7 +134,7 @@ defmodule Situ.Bridge.Ros.Node do
       else: {:noreply, state}
   end
 
-  def handle_info({:well, uri}, state),
+  def handle_info({:received, uri}, state),
     do: {:noreply, %{state | waits: Map.delete(state.waits, uri)}}
 
   def handle_info({:EXIT, pid, reason}, state) do
@@ -142,8 +142,8 @@ defmodule Situ.Bridge.Ros.Node do
       MapSet.member?(state.slaves, pid) ->
         {:noreply, %{state | slaves: MapSet.delete(state.slaves, pid)}}
 
-      MapSet.member?(state.leaving, pid) ->
-        {:noreply, %{state | leaving: MapSet.delete(state.leaving, pid)}}
+      MapSet.member?(state.closing_links, pid) ->
+        {:noreply, %{state | closing_links: MapSet.delete(state.closing_links, pid)}}
 
       uri = Enum.find_value(state.links, fn {uri, link} -> link == pid && uri end) ->
         {:noreply, schedule_relink(state, uri, reason)}
@@ -156,21 +156,22 @@ defmodule Situ.Bridge.Ros.Node do
   # A link to a publisher that left ends after its remaining data has been read. New publishers are linked.
   defp update_links(%{role: {:subscriber, _, _, _}} = state, uris) do
     uris = Enum.filter(uris, &is_binary/1)
-    {stay, go} = Map.split(state.links, uris)
-    go = Map.values(go)
-    Enum.each(go, &PublisherLink.close_when_silent/1)
-    leaving = MapSet.union(state.leaving, MapSet.new(go))
+    {current, closing} = Map.split(state.links, uris)
+    closing = Map.values(closing)
+    Enum.each(closing, &PublisherLink.close_when_silent/1)
+    closing_links = MapSet.union(state.closing_links, MapSet.new(closing))
     waits = Map.take(state.waits, uris)
-    state = %{state | links: stay, leaving: leaving, publishers: uris, waits: waits}
-    Enum.reduce(uris -- Map.keys(stay), state, &open_link(&2, &1))
+    state = %{state | links: current, closing_links: closing_links}
+    state = %{state | publishers: uris, waits: waits}
+    Enum.reduce(uris -- Map.keys(current), state, &open_link(&2, &1))
   end
 
   defp update_links(state, _uris), do: state
 
-  defp open_link(%{role: {:subscriber, topic, type, how}} = state, uri) do
+  defp open_link(%{role: {:subscriber, topic, type, options}} = state, uri) do
     {:ok, link} =
       PublisherLink.start_link(
-        Map.merge(how, %{
+        Map.merge(options, %{
           node: self(),
           owner: state.owner,
           uri: uri,
@@ -185,13 +186,13 @@ defmodule Situ.Bridge.Ros.Node do
 
   # The same error is logged once, not at every attempt.
   defp schedule_relink(state, uri, reason) do
-    {wait, told} = Map.get(state.waits, uri, {@first_wait, nil})
+    {wait, logged_error} = Map.get(state.waits, uri, {@min_wait_ms, nil})
 
-    if told != reason and reason != {:shutdown, :closed},
+    if logged_error != reason and reason != {:shutdown, :closed},
       do: Logger.warning("ROS: #{uri}: #{inspect(reason, limit: 10)}")
 
     Process.send_after(self(), {:link, uri}, wait)
-    waits = Map.put(state.waits, uri, {min(wait * 2, @longest_wait), reason})
+    waits = Map.put(state.waits, uri, {min(wait * 2, @max_wait_ms), reason})
     %{state | links: Map.delete(state.links, uri), waits: waits}
   end
 
@@ -200,7 +201,7 @@ defmodule Situ.Bridge.Ros.Node do
     if state.registrar, do: Process.exit(state.registrar, :kill)
     Registrar.unregister_node(state.address, state.role, state.uri)
 
-    for pid <- Map.values(state.links) ++ Enum.concat(state.leaving, state.slaves),
+    for pid <- Map.values(state.links) ++ Enum.concat(state.closing_links, state.slaves),
         do: Process.exit(pid, :shutdown)
 
     :gen_tcp.close(state.listener)

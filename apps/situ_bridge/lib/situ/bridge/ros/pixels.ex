@@ -80,9 +80,9 @@ defmodule Situ.Bridge.Ros.Pixels do
   defp interleave_step(
          <<point::binary-12, points::binary>>,
          <<rgb::binary-3, colors::binary>>,
-         all
+         acc
        ),
-       do: interleave_step(points, colors, [[point, rgb, 0] | all])
+       do: interleave_step(points, colors, [[point, rgb, 0] | acc])
 
-  defp interleave_step("", "", all), do: all |> Enum.reverse() |> IO.iodata_to_binary()
+  defp interleave_step("", "", acc), do: acc |> Enum.reverse() |> IO.iodata_to_binary()
 end

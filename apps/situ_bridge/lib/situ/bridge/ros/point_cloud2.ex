@@ -74,10 +74,10 @@ defmodule Situ.Bridge.Ros.PointCloud2 do
   def to_message(%PointCloud{points: points, colors: colors} = cloud) do
     n = PointCloud.point_count(cloud)
     values = Map.get(cloud, :values)
-    tones = if colors, do: for(<<r, g, b <- colors>>, into: <<>>, do: <<b, g, r, 0>>)
+    color_bytes = if colors, do: for(<<r, g, b <- colors>>, into: <<>>, do: <<b, g, r, 0>>)
 
     columns =
-      for {bytes, size} <- [{points, 12}, {tones, 4}, {values, 4}], bytes, do: {bytes, size}
+      for {bytes, size} <- [{points, 12}, {color_bytes, 4}, {values, 4}], bytes, do: {bytes, size}
 
     step = columns |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     data = interleave_columns(columns, n)

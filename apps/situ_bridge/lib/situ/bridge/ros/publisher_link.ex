@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Ros.PublisherLink do
   @moduledoc false
-  # Connects a subscriber to one publisher. The owner receives `{:ros, theirs, payloads}`, where `theirs` contains the
-  # fields of the publisher's header. The link stops reading while too many messages are waiting for the owner.
+  # Connects a subscriber to one publisher. The owner receives `{:ros, peer_fields, payloads}`, where `peer_fields`
+  # contains the fields of the publisher's header. The link stops reading while too many messages wait for the owner.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.ReceiveBuffer
   alias Situ.Bridge.Ros.{TcpRos, XmlRpc}
 
-  @timeout 5_000
-  @silent 1_000
+  @timeout_ms 5_000
+  @silence_ms 1_000
 
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
@@ -18,7 +18,8 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   @impl true
   def init(args),
     do:
-      {:ok, Map.merge(args, %{tcp: nil, wire: nil, receive_buffer: %ReceiveBuffer{}, seen: 0}),
+      {:ok,
+       Map.merge(args, %{tcp: nil, wire: nil, receive_buffer: %ReceiveBuffer{}, packet_count: 0}),
        {:continue, :connect}}
 
   @impl true
@@ -30,7 +31,7 @@ defmodule Situ.Bridge.Ros.PublisherLink do
              String.to_charlist(host),
              port,
              [:binary, active: false, nodelay: true, buffer: ReceiveBuffer.buffer_size()],
-             @timeout
+             @timeout_ms
            ),
          {hello, wire} = TcpRos.hello(host, port, header_fields(state)),
          :ok <- :gen_tcp.send(tcp, hello) do
@@ -53,9 +54,9 @@ defmodule Situ.Bridge.Ros.PublisherLink do
 
   @impl true
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
-    state = %{state | seen: state.seen + 1}
+    state = %{state | packet_count: state.packet_count + 1}
 
-    case ReceiveBuffer.add_bytes(state.receive_buffer, bytes, TcpRos.missing(state.wire)) do
+    case ReceiveBuffer.add_bytes(state.receive_buffer, bytes, TcpRos.missing_bytes(state.wire)) do
       {:ok, bytes, receive_buffer} ->
         read_frames(bytes, %{state | receive_buffer: receive_buffer})
 
@@ -68,10 +69,10 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
   def handle_info(:arm, state), do: {:noreply, arm_socket(state)}
 
-  def handle_info({:look, seen}, %{seen: seen} = state),
+  def handle_info({:check, packet_count}, %{packet_count: packet_count} = state),
     do: {:stop, {:shutdown, :closed}, state}
 
-  def handle_info({:look, _seen}, state), do: {:noreply, schedule_silence_check(state)}
+  def handle_info({:check, _packet_count}, state), do: {:noreply, schedule_silence_check(state)}
 
   @impl true
   def handle_cast(:leave, state), do: {:noreply, schedule_silence_check(state)}
@@ -79,9 +80,9 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   # A publisher that leaves normally closes the connection. If it does not, the link ends when it is silent, unless this
   # side has stopped reading.
   defp schedule_silence_check(state) do
-    waits? = :atomics.get(state.in_flight, 1) >= state.high_water_mark
-    seen = if waits?, do: :waits, else: state.seen
-    Process.send_after(self(), {:look, seen}, @silent)
+    paused? = :atomics.get(state.unread_counter, 1) >= state.high_water_mark
+    packet_count = if paused?, do: :paused, else: state.packet_count
+    Process.send_after(self(), {:check, packet_count}, @silence_ms)
     state
   end
 
@@ -98,14 +99,14 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   defp hand_over(state, []), do: state
 
   defp hand_over(state, payloads) do
-    :atomics.add(state.in_flight, 1, length(payloads))
-    send(state.owner, {:ros, state.wire.theirs, payloads})
-    send(state.node, {:well, state.uri})
+    :atomics.add(state.unread_counter, 1, length(payloads))
+    send(state.owner, {:ros, state.wire.peer_fields, payloads})
+    send(state.node, {:received, state.uri})
     state
   end
 
   defp arm_socket(state) do
-    if :atomics.get(state.in_flight, 1) < state.high_water_mark,
+    if :atomics.get(state.unread_counter, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 

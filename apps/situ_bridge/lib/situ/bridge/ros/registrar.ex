@@ -5,8 +5,8 @@ defmodule Situ.Bridge.Ros.Registrar do
   require Logger
   alias Situ.Bridge.Ros.XmlRpc
 
-  @every 1_000
-  @goodbye 1_000
+  @check_ms 1_000
+  @unregister_ms 1_000
 
   @doc "Starts the process, linked to the caller. A subscriber receives `{:publishers, uris}`."
   @spec start_link(pid(), Situ.Bridge.Ros.Address.t(), Situ.Bridge.Ros.Node.role(), String.t()) ::
@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros.Registrar do
   def start_link(node, address, role, uri),
     do:
       spawn_link(fn ->
-        register_node(%{node: node, address: address, role: role, uri: uri, reported_error: nil})
+        register_node(%{node: node, address: address, role: role, uri: uri, logged_code: nil})
       end)
 
   defp register_node(state) do
@@ -27,22 +27,20 @@ defmodule Situ.Bridge.Ros.Registrar do
            ) do
       if elem(state.role, 0) == :subscriber, do: send(state.node, {:publishers, publishers})
 
-      if state.reported_error,
+      if state.logged_code,
         do: Logger.info("ROS: the master at #{state.address.master} is reachable again")
 
-      watch_master(%{state | reported_error: nil}, pid)
+      watch_master(%{state | logged_code: nil}, pid)
     else
       {:error, error} ->
-        if state.reported_error != error.code,
-          do: Logger.warning("ROS: #{Exception.message(error)}")
-
-        Process.sleep(@every)
-        register_node(%{state | reported_error: error.code})
+        if state.logged_code != error.code, do: Logger.warning("ROS: #{Exception.message(error)}")
+        Process.sleep(@check_ms)
+        register_node(%{state | logged_code: error.code})
     end
   end
 
   defp watch_master(state, pid) do
-    Process.sleep(@every)
+    Process.sleep(@check_ms)
 
     case master_pid(state) do
       {:ok, ^pid} -> watch_master(state, pid)
@@ -61,7 +59,7 @@ defmodule Situ.Bridge.Ros.Registrar do
   @doc "Unregisters the node with a short timeout."
   def unregister_node(address, {role, topic, _, _}, uri) do
     method = if role == :publisher, do: "unregisterPublisher", else: "unregisterSubscriber"
-    XmlRpc.call(address.master, method, [address.node, topic, uri], @goodbye)
+    XmlRpc.call(address.master, method, [address.node, topic, uri], @unregister_ms)
   end
 
   @doc "Calls a method of the master, which replies with `[code, text, value]`, and returns the value."

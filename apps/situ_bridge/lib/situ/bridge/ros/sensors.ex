@@ -3,12 +3,12 @@ defmodule Situ.Bridge.Ros.Sensors do
   # Converts ROS messages of inertial sensors, satellite receivers, joints, poses and transforms. Pure.
   alias Situ.{GeoPoint, ImuReading, JointState, Pose, Transform}
 
-  @type made :: {:ok, term()} | {:error, term()} | :error
-  @unknown List.duplicate(0.0, 9)
+  @type result :: {:ok, term()} | {:error, term()} | :error
+  @unknown_covariance List.duplicate(0.0, 9)
   @no_rotation {1.0, 0.0, 0.0, 0.0}
 
   @doc "Converts an Imu. The orientation is nil if its covariance begins with -1 or all its components are zero."
-  @spec parse_imu(map()) :: made()
+  @spec parse_imu(map()) :: result()
   def parse_imu(%{"linear_acceleration" => a, "angular_velocity" => w} = m) do
     with {:ok, acceleration} <- parse_vector(a), {:ok, velocity} <- parse_vector(w) do
       reading = ImuReading.new(acceleration, velocity)
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Ros.Sensors do
   end
 
   @doc "Converts a NavSatFix, or returns `:error` if it has no fix."
-  @spec parse_fix(map()) :: made()
+  @spec parse_fix(map()) :: result()
   def parse_fix(%{"status" => %{"status" => status}} = m) when status >= 0 do
     GeoPoint.new(m["latitude"], m["longitude"],
       height: parse_altitude(m),
@@ -52,22 +52,22 @@ defmodule Situ.Bridge.Ros.Sensors do
   def parse_accuracy(_m), do: nil
 
   @doc "Converts a JointState."
-  @spec parse_joints(map()) :: made()
+  @spec parse_joints(map()) :: result()
   def parse_joints(%{"name" => names, "position" => p, "velocity" => v, "effort" => e}),
     do: JointState.new(names, p, v, e)
 
   @doc "Converts a TransformStamped."
-  @spec parse_transform(map()) :: made()
+  @spec parse_transform(map()) :: result()
   def parse_transform(%{"header" => header, "child_frame_id" => frame, "transform" => t}) do
     with {:ok, pose} <- parse_pose(t["translation"], t["rotation"]),
          do: {:ok, Transform.new(frame, header["frame_id"], pose)}
   end
 
   @doc "Converts the transforms of a TFMessage, or returns `:error` if any of them is invalid."
-  @spec parse_transforms([map()]) :: made()
+  @spec parse_transforms([map()]) :: result()
   def parse_transforms(list) do
-    made = for m <- list, {:ok, transform} <- [parse_transform(m)], do: transform
-    if length(made) == length(list), do: {:ok, made}, else: :error
+    transforms = for m <- list, {:ok, transform} <- [parse_transform(m)], do: transform
+    if length(transforms) == length(list), do: {:ok, transforms}, else: :error
   end
 
   @doc "Marks transforms as static, that is, valid at all times."
@@ -102,20 +102,21 @@ defmodule Situ.Bridge.Ros.Sensors do
   def to_message(%ImuReading{} = imu) do
     %{
       "orientation" => encode_rotation(imu.orientation || @no_rotation),
-      "orientation_covariance" => if(imu.orientation, do: @unknown, else: [-1.0 | tl(@unknown)]),
+      "orientation_covariance" =>
+        if(imu.orientation, do: @unknown_covariance, else: [-1.0 | tl(@unknown_covariance)]),
       "linear_acceleration" => encode_vector(imu.acceleration),
       "angular_velocity" => encode_vector(imu.angular_velocity)
     }
   end
 
-  def to_message(%GeoPoint{} = place) do
-    {covariance, type} = encode_covariance(place.accuracy)
+  def to_message(%GeoPoint{} = location) do
+    {covariance, type} = encode_covariance(location.accuracy)
 
     %{
       "status" => %{"status" => 0, "service" => 1},
-      "latitude" => place.latitude,
-      "longitude" => place.longitude,
-      "altitude" => place.height || :nan,
+      "latitude" => location.latitude,
+      "longitude" => location.longitude,
+      "altitude" => location.height || :nan,
       "position_covariance" => covariance,
       "position_covariance_type" => type
     }
@@ -138,7 +139,7 @@ defmodule Situ.Bridge.Ros.Sensors do
 
   @doc "Returns the nine numbers of a covariance matrix and ROS's number for the covariance type."
   @spec encode_covariance(float() | Situ.Vector3.t() | nil) :: {[float()], 0 | 1 | 2}
-  def encode_covariance(nil), do: {@unknown, 0}
+  def encode_covariance(nil), do: {@unknown_covariance, 0}
 
   # A single horizontal accuracy: the vertical value is a guess, so the matrix is marked as approximated.
   def encode_covariance(a) when is_float(a),

@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Ros.Service do
   alias Situ.Error
 
   @timeout 5_000
-  @most 64 * 1024 * 1024
+  @max_response 64 * 1024 * 1024
 
   def call(service, text, request, opts \\ []) do
     {timeout, opts} = Keyword.pop(opts, :timeout, @timeout)
@@ -46,12 +46,12 @@ defmodule Situ.Bridge.Ros.Service do
 
   defp exchange_messages(tcp, bytes, header, timeout) do
     with :ok <- :gen_tcp.send(tcp, TcpRos.encode_header(header)),
-         {:ok, %{} = theirs} <- read_header(tcp, "", timeout),
-         nil <- theirs["error"] || TcpRos.find_mismatch(theirs, header),
+         {:ok, %{} = peer_fields} <- read_header(tcp, "", timeout),
+         nil <- peer_fields["error"] || TcpRos.find_mismatch(peer_fields, header),
          :ok <- :gen_tcp.send(tcp, TcpRos.frame(bytes, nil)),
          {:ok, <<ok>>} <- :gen_tcp.recv(tcp, 1, timeout),
-         {:ok, answer} <- read_frame(tcp, timeout) do
-      if ok == 1, do: {:ok, answer}, else: {:error, answer}
+         {:ok, response} <- read_frame(tcp, timeout) do
+      if ok == 1, do: {:ok, response}, else: {:error, response}
     end
   end
 
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Ros.Service do
   defp read_frame(tcp, timeout) do
     case :gen_tcp.recv(tcp, 4, timeout) do
       {:ok, <<0::32>>} -> {:ok, ""}
-      {:ok, <<n::little-32>>} when n <= @most -> :gen_tcp.recv(tcp, n, timeout)
+      {:ok, <<n::little-32>>} when n <= @max_response -> :gen_tcp.recv(tcp, n, timeout)
       {:ok, <<n::little-32>>} -> "the response has #{n} bytes, which is too large"
       error -> error
     end
@@ -197,12 +197,12 @@ defmodule Situ.Bridge.Ros.Service do
     end
   end
 
-  defp greet_caller(tcp, {:ok, theirs}, state) do
-    case TcpRos.find_mismatch(theirs, state.header) do
+  defp greet_caller(tcp, {:ok, peer_fields}, state) do
+    case TcpRos.find_mismatch(peer_fields, state.header) do
       nil ->
         :gen_tcp.send(tcp, TcpRos.encode_header(state.header))
         # A probe only checks whether the service exists.
-        unless theirs["probe"] == "1", do: serve_requests(tcp, state)
+        unless peer_fields["probe"] == "1", do: serve_requests(tcp, state)
 
       why ->
         :gen_tcp.send(tcp, TcpRos.encode_header(%{"error" => why}))
@@ -220,8 +220,8 @@ defmodule Situ.Bridge.Ros.Service do
   defp build_response(bytes, state) do
     with {:ok, request} <- Wire.decode(state.definition.request, bytes, :ros1),
          {:ok, response} <- state.fun.(request),
-         {:ok, answer} <- Wire.encode(state.definition.response, response, :ros1) do
-      [1, TcpRos.frame(answer, nil)]
+         {:ok, response} <- Wire.encode(state.definition.response, response, :ros1) do
+      [1, TcpRos.frame(response, nil)]
     else
       {:error, why} -> [0, TcpRos.frame(to_string(why), nil)]
     end

@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Ros.Sink do
   def schema, do: @schema
 
   @impl true
-  def init(opts), do: {:ok, %{opts: opts, node: nil, channel: nil, outlet: PeerSender.new(opts)}}
+  def init(opts), do: {:ok, %{opts: opts, node: nil, channel: nil, sender: PeerSender.new(opts)}}
 
   @impl true
   def handle_start(_context, state) do
@@ -47,14 +47,14 @@ defmodule Situ.Bridge.Ros.Sink do
     address = Address.new(opts)
     topic = Address.resolve_name(opts[:topic])
 
-    given = [
+    channel_opts = [
       type: opts[:ros_type],
       definition: opts[:definition],
       encoding: :ros1,
       frame: opts[:frame]
     ]
 
-    with {:ok, channel} <- Channel.new(topic, given, first),
+    with {:ok, channel} <- Channel.new(topic, channel_opts, first),
          arg = header_fields(channel, address, topic, opts),
          {:ok, server} <-
            Server.open(
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.Ros.Sink do
         state
         | channel: channel,
           node: node,
-          outlet: PeerSender.attach_door(state.outlet, Server, server, nil)
+          sender: PeerSender.attach_server(state.sender, Server, server, nil)
       }
     else
       {:error, error} -> raise error
@@ -98,30 +98,30 @@ defmodule Situ.Bridge.Ros.Sink do
     bytes =
       Situ.Error.unwrap!(Channel.encode(state.channel, message.data, message.originating_time))
 
-    state.outlet |> PeerSender.send_payload(bytes) |> with_outlet(state)
+    state.sender |> PeerSender.send_payload(bytes) |> put_sender(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> PeerSender.handle_stage_message(message) |> with_outlet(state)
+    do: state.sender |> PeerSender.handle_stage_message(message) |> put_sender(state)
 
-  defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
+  defp put_sender({actions, sender}, state), do: {actions, %{state | sender: sender}}
 
   @impl true
   def handle_closed(:in, _time, _context, %{node: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state) do
-    outlet = PeerSender.close(state.outlet)
+    sender = PeerSender.close(state.sender)
     Node.stop(state.node)
-    {[], %{state | outlet: outlet, node: nil}}
+    {[], %{state | sender: sender, node: nil}}
   end
 
   @impl true
   def terminate(_reason, state) do
     if state.node, do: Node.stop(state.node)
-    PeerSender.close_now(state.outlet)
+    PeerSender.close_now(state.sender)
   end
 
   @impl true
-  def describe(state), do: PeerSender.describe_peers(state.outlet)
+  def describe(state), do: PeerSender.describe_peers(state.sender)
 end

@@ -6,19 +6,19 @@ defmodule Situ.Bridge.Ros.SlaveCall do
   alias Situ.Bridge.Ros.XmlRpc
   alias Situ.Bridge.WebSocket.Handshake
 
-  @patience 10_000
-  @most 1_000_000
+  @timeout_ms 10_000
+  @max_bytes 1_000_000
 
   @doc "Starts a process that handles one call with `fun`, which gets a method and its arguments."
   def start_link(fun), do: GenServer.start_link(__MODULE__, fun)
 
   @impl true
-  def init(fun), do: {:ok, %{fun: fun, received_bytes: ""}, @patience}
+  def init(fun), do: {:ok, %{fun: fun, received_bytes: ""}, @timeout_ms}
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
     :inet.setopts(tcp, active: :once)
-    {:noreply, state, @patience}
+    {:noreply, state, @timeout_ms}
   end
 
   def handle_info({:tcp, tcp, bytes}, state) do
@@ -29,9 +29,9 @@ defmodule Situ.Bridge.Ros.SlaveCall do
         :gen_tcp.send(tcp, build_reply(body, state.fun))
         {:stop, :normal, state}
 
-      :more when byte_size(received_bytes) <= @most ->
+      :more when byte_size(received_bytes) <= @max_bytes ->
         :inet.setopts(tcp, active: :once)
-        {:noreply, %{state | received_bytes: received_bytes}, @patience}
+        {:noreply, %{state | received_bytes: received_bytes}, @timeout_ms}
 
       _ ->
         {:stop, :normal, state}

@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Ros.Source do
 
   @impl true
   def init(opts) do
-    inlet = PayloadDecoder.new(times: opts[:times], format: :ros)
+    decoder = PayloadDecoder.new(times: opts[:times], format: :ros)
 
     {:ok,
      %{
@@ -66,32 +66,33 @@ defmodule Situ.Bridge.Ros.Source do
        node: nil,
        clock_node: nil,
        clock: nil,
-       in_flight: :atomics.new(1, []),
-       clock_untaken: :atomics.new(1, []),
-       inlet: inlet,
-       known: %{},
-       ours: nil
+       unread_counter: :atomics.new(1, []),
+       clock_unread_counter: :atomics.new(1, []),
+       decoder: decoder,
+       definitions: %{},
+       expected: nil
      }}
   end
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    ours = load_definition(opts)
-    type = if ours, do: ours.name, else: "*"
+    definition = load_definition(opts)
+    type = if definition, do: definition.name, else: "*"
 
-    sum = if ours, do: Definition.md5(ours), else: "*"
-    node = start_node!(opts, opts[:topic], type, sum, state.in_flight)
+    sum = if definition, do: Definition.md5(definition), else: "*"
+    node = start_node!(opts, opts[:topic], type, sum, state.unread_counter)
 
     clock =
-      if opts[:sim_time], do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_untaken)
+      if opts[:sim_time],
+        do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_unread_counter)
 
-    {[{:complete, :infinity}], %{state | node: node, clock_node: clock, ours: ours}}
+    {[{:complete, :infinity}], %{state | node: node, clock_node: clock, expected: definition}}
   end
 
-  defp start_node!(opts, topic, type, sum, in_flight) do
+  defp start_node!(opts, topic, type, sum, unread_counter) do
     link = %{
       md5sum: sum,
-      in_flight: in_flight,
+      unread_counter: unread_counter,
       high_water_mark: opts[:high_water_mark],
       most: opts[:most]
     }
@@ -104,8 +105,8 @@ defmodule Situ.Bridge.Ros.Source do
 
   defp load_definition(opts) do
     if opts[:ros_type] do
-      given = [type: opts[:ros_type], definition: opts[:definition], encoding: :ros1]
-      Situ.Error.unwrap!(Channel.new(opts[:topic], given, nil)).definition
+      channel_opts = [type: opts[:ros_type], definition: opts[:definition], encoding: :ros1]
+      Situ.Error.unwrap!(Channel.new(opts[:topic], channel_opts, nil)).definition
     end
   end
 
@@ -113,7 +114,7 @@ defmodule Situ.Bridge.Ros.Source do
   @impl true
   def handle_info({:ros, %{"type" => @clock}, payloads}, _context, %{clock_node: node} = state)
       when node != nil do
-    :atomics.sub(state.clock_untaken, 1, length(payloads))
+    :atomics.sub(state.clock_unread_counter, 1, length(payloads))
 
     case List.last(payloads) do
       <<s::little-32, ns::little-32>> -> {[], %{state | clock: s * 1_000_000_000 + ns}}
@@ -121,38 +122,38 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
-  def handle_info({:ros, theirs, payloads}, context, state) do
-    :atomics.sub(state.in_flight, 1, length(payloads))
-    {definition, state} = ensure_definition(theirs, state)
+  def handle_info({:ros, peer_fields, payloads}, context, state) do
+    :atomics.sub(state.unread_counter, 1, length(payloads))
+    {definition, state} = ensure_definition(peer_fields, state)
     now = if state.opts[:sim_time], do: state.clock, else: context.now
-    read = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))
-    {actions, inlet} = PayloadDecoder.take_decoded(state.inlet, read)
-    {actions, %{state | inlet: inlet}}
+    results = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))
+    {actions, decoder} = PayloadDecoder.take_decoded(state.decoder, results)
+    {actions, %{state | decoder: decoder}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
   # Parses each publisher's definition only once.
-  defp ensure_definition(_theirs, %{ours: ours} = state) when ours != nil,
-    do: {{:ok, ours}, state}
+  defp ensure_definition(_peer_fields, %{expected: definition} = state) when definition != nil,
+    do: {{:ok, definition}, state}
 
-  defp ensure_definition(theirs, state) do
-    key = {theirs["type"], theirs["message_definition"]}
+  defp ensure_definition(peer_fields, state) do
+    key = {peer_fields["type"], peer_fields["message_definition"]}
 
-    case state.known do
+    case state.definitions do
       %{^key => definition} ->
         {definition, state}
 
-      known ->
+      definitions ->
         definition =
           Definition.parse(
-            theirs["type"] || "unknown/Unknown",
-            theirs["message_definition"] || ""
+            peer_fields["type"] || "unknown/Unknown",
+            peer_fields["message_definition"] || ""
           )
 
         # Publishers of a topic agree on its type, so a small cache is enough.
-        known = if map_size(known) < 16, do: known, else: %{}
-        {definition, %{state | known: Map.put(known, key, definition)}}
+        definitions = if map_size(definitions) < 16, do: definitions, else: %{}
+        {definition, %{state | definitions: Map.put(definitions, key, definition)}}
     end
   end
 
@@ -195,5 +196,5 @@ defmodule Situ.Bridge.Ros.Source do
   end
 
   @impl true
-  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.decoder)
 end

@@ -1,25 +1,6 @@
 defmodule Situ.Bridge.Ros.StandardTypes do
-  @moduledoc """
-  Converts between ROS messages and Situ's types. The stamp of a message's header becomes its time. Other messages stay
-  maps. With `messages: :maps`, a reader returns all messages as maps, including covariances and frames of reference.
-
-  | ROS | Situ |
-  |---|---|
-  | `sensor_msgs/Image` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimeters |
-  | `sensor_msgs/CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
-  | `sensor_msgs/PointCloud2` (x, y, z, rgb and intensity) | `Situ.PointCloud` |
-  | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
-  | `sensor_msgs/Imu` | `Situ.ImuReading` |
-  | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; a map without a fix |
-  | `sensor_msgs/JointState` | `Situ.JointState` |
-  | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, marked as static on `/tf_static` |
-  | `geometry_msgs/TransformStamped` | `Situ.Transform` |
-  | `geometry_msgs/Pose`, `PoseStamped` | `Situ.Pose` |
-  | `audio_common_msgs/AudioData` | written from `Situ.AudioBuffer`; read as a map, because it has no format |
-  | `geometry_msgs/Point`, `Point32`, `Vector3` | `Situ.Point3` |
-  | `rosgraph_msgs/Clock` | the simulated time, an integer |
-  | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
-  """
+  @moduledoc false
+  # Converts between ROS messages and Situ's types. The documentation of `Situ.Bridge.Ros` lists the types.
   alias Situ.Bridge.Format.SafeConversion
   alias Situ.Bridge.Ros.{PointCloud2, CameraInfo, Pixels, Sensors}
 
@@ -142,7 +123,7 @@ defmodule Situ.Bridge.Ros.StandardTypes do
   @spec to_message(String.t(), term(), Situ.Time.t(), String.t()) :: map()
   def to_message(name, data, time, frame \\ "") do
     case build_fields(name, data, time) do
-      {:headed, message} ->
+      {:with_header, message} ->
         Map.put(message, "header", %{"stamp" => max(time, 0), "frame_id" => frame})
 
       message ->
@@ -151,27 +132,30 @@ defmodule Situ.Bridge.Ros.StandardTypes do
   end
 
   defp build_fields(_name, %Image{} = image, _time),
-    do: {:headed, Pixels.to_message(image, "step")}
+    do: {:with_header, Pixels.to_message(image, "step")}
 
   defp build_fields(_name, %DepthImage{} = depth, _time),
-    do: {:headed, Pixels.to_message(depth, "step")}
+    do: {:with_header, Pixels.to_message(depth, "step")}
 
   defp build_fields(_name, %EncodedImage{} = image, _time),
-    do: {:headed, %{"format" => Atom.to_string(image.format), "data" => image.data}}
+    do: {:with_header, %{"format" => Atom.to_string(image.format), "data" => image.data}}
 
   defp build_fields(_name, %Point3{x: x, y: y, z: z}, _time), do: %{"x" => x, "y" => y, "z" => z}
 
   defp build_fields(_name, %PointCloud{} = cloud, _time),
-    do: {:headed, PointCloud2.to_message(cloud)}
+    do: {:with_header, PointCloud2.to_message(cloud)}
 
-  defp build_fields(_name, %CameraIntrinsics{} = optics, _time),
-    do: {:headed, CameraInfo.to_message(optics)}
+  defp build_fields(_name, %CameraIntrinsics{} = intrinsics, _time),
+    do: {:with_header, CameraInfo.to_message(intrinsics)}
 
-  defp build_fields(_name, %ImuReading{} = imu, _time), do: {:headed, Sensors.to_message(imu)}
-  defp build_fields(_name, %GeoPoint{} = place, _time), do: {:headed, Sensors.to_message(place)}
+  defp build_fields(_name, %ImuReading{} = imu, _time),
+    do: {:with_header, Sensors.to_message(imu)}
+
+  defp build_fields(_name, %GeoPoint{} = location, _time),
+    do: {:with_header, Sensors.to_message(location)}
 
   defp build_fields(_name, %JointState{} = joints, _time),
-    do: {:headed, Sensors.to_message(joints)}
+    do: {:with_header, Sensors.to_message(joints)}
 
   defp build_fields(tree, %Transform{} = transform, time) when tree in @trees,
     do: build_fields(tree, [transform], time)
@@ -185,7 +169,7 @@ defmodule Situ.Bridge.Ros.StandardTypes do
   defp build_fields(_name, %AudioBuffer{data: data}, _time), do: %{"data" => data}
 
   defp build_fields("geometry_msgs/PoseStamped", %Pose{} = pose, _time),
-    do: {:headed, %{"pose" => Sensors.to_message(pose)}}
+    do: {:with_header, %{"pose" => Sensors.to_message(pose)}}
 
   defp build_fields(_name, %Pose{} = pose, _time), do: Sensors.to_message(pose)
 

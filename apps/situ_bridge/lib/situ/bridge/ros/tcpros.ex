@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
   alias Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Tcp.Frames
 
-  @most_header 1_000_000
+  @max_header 1_000_000
 
   @doc """
   Encodes a header.
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
 
   @spec read_header(binary()) ::
           {:ok, %{String.t() => String.t()}, binary()} | :more | {:error, String.t()}
-  def read_header(<<n::little-32, _::binary>>) when n > @most_header,
+  def read_header(<<n::little-32, _::binary>>) when n > @max_header,
     do: {:error, "the header has #{n} bytes, which is too large"}
 
   def read_header(<<n::little-32, fields::binary-size(n), rest::binary>>) do
@@ -37,34 +37,37 @@ defmodule Situ.Bridge.Ros.TcpRos do
 
   def read_header(_short), do: :more
 
-  defp parse_fields("", found), do: {:ok, found}
+  defp parse_fields("", fields), do: {:ok, fields}
 
-  defp parse_fields(<<n::little-32, line::binary-size(n), rest::binary>>, found) do
+  defp parse_fields(<<n::little-32, line::binary-size(n), rest::binary>>, fields) do
     case :binary.split(line, "=") do
-      [name, value] -> parse_fields(rest, Map.put(found, :binary.copy(name), :binary.copy(value)))
-      [_] -> {:error, "a field of the header has no ="}
+      [name, value] ->
+        parse_fields(rest, Map.put(fields, :binary.copy(name), :binary.copy(value)))
+
+      [_] ->
+        {:error, "a field of the header has no ="}
     end
   end
 
-  defp parse_fields(_, _found), do: {:error, "a field of the header is longer than the header"}
+  defp parse_fields(_, _fields), do: {:error, "a field of the header is longer than the header"}
 
   @doc "Returns nil if both sides agree on the topic (or service) and type, else a sentence about the difference."
   @spec find_mismatch(%{String.t() => String.t()}, %{String.t() => String.t()}) ::
           String.t() | nil
-  def find_mismatch(theirs, ours) do
+  def find_mismatch(peer_fields, own_fields) do
     Enum.find_value(["topic", "service", "md5sum"], fn field ->
-      {their, our} = {theirs[field], ours[field]}
+      {peer, own} = {peer_fields[field], own_fields[field]}
 
-      if their != our and their != nil and our != nil and "*" not in [their, our],
-        do: "#{field} is #{inspect(our)} here and #{inspect(their)} there"
+      if peer != own and peer != nil and own != nil and "*" not in [peer, own],
+        do: "#{field} is #{inspect(own)} here and #{inspect(peer)} there"
     end)
   end
 
   @impl Protocol
-  def admit(bytes, ours) do
-    with {:ok, theirs, rest} <- read_header(bytes) do
-      case find_mismatch(theirs, ours) do
-        nil -> {:ok, encode_header(Map.delete(ours, "port")), rest}
+  def admit(bytes, own_fields) do
+    with {:ok, peer_fields, rest} <- read_header(bytes) do
+      case find_mismatch(peer_fields, own_fields) do
+        nil -> {:ok, encode_header(Map.delete(own_fields, "port")), rest}
         why -> {:error, why}
       end
     end
@@ -75,23 +78,23 @@ defmodule Situ.Bridge.Ros.TcpRos do
   end
 
   @impl Protocol
-  def frame(payload, _ours), do: [<<IO.iodata_length(payload)::little-32>>, payload]
+  def frame(payload, _own_fields), do: [<<IO.iodata_length(payload)::little-32>>, payload]
 
   @impl Protocol
-  def heard(_bytes, _ours), do: {:ok, "", ""}
+  def handle_bytes(_bytes, _own_fields), do: {:ok, "", ""}
 
   @impl Protocol
   def hello(_host, _port, fields),
-    do: {encode_header(fields), %{fields: fields, theirs: nil, rest: ""}}
+    do: {encode_header(fields), %{fields: fields, peer_fields: nil, rest: ""}}
 
   @impl Protocol
-  def read(bytes, %{theirs: nil} = state, most) do
+  def read(bytes, %{peer_fields: nil} = state, max) do
     case read_header(state.rest <> bytes) do
       {:ok, %{"error" => why}, _rest} ->
         {:error, "the publisher refused: #{inspect(why)}"}
 
-      {:ok, theirs, rest} ->
-        accept_header(find_mismatch(theirs, state.fields), theirs, rest, state, most)
+      {:ok, peer_fields, rest} ->
+        accept_header(find_mismatch(peer_fields, state.fields), peer_fields, rest, state, max)
 
       :more ->
         {:ok, [], "", %{state | rest: state.rest <> bytes}}
@@ -101,17 +104,17 @@ defmodule Situ.Bridge.Ros.TcpRos do
     end
   end
 
-  def read(bytes, state, most) do
-    with {:ok, payloads, rest} <- Frames.split_frames(state.rest <> bytes, most),
+  def read(bytes, state, max) do
+    with {:ok, payloads, rest} <- Frames.split_frames(state.rest <> bytes, max),
          do: {:ok, payloads, "", %{state | rest: rest}}
   end
 
   @impl Protocol
-  def missing(%{theirs: nil}), do: 1
-  def missing(%{rest: rest}), do: Frames.missing(rest)
+  def missing_bytes(%{peer_fields: nil}), do: 1
+  def missing_bytes(%{rest: rest}), do: Frames.missing_bytes(rest)
 
-  defp accept_header(nil, theirs, rest, state, most),
-    do: read(rest, %{state | theirs: theirs, rest: ""}, most)
+  defp accept_header(nil, peer_fields, rest, state, max),
+    do: read(rest, %{state | peer_fields: peer_fields, rest: ""}, max)
 
-  defp accept_header(why, _theirs, _rest, _state, _most), do: {:error, why}
+  defp accept_header(why, _peer_fields, _rest, _state, _max), do: {:error, why}
 end

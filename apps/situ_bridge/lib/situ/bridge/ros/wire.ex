@@ -1,19 +1,11 @@
 defmodule Situ.Bridge.Ros.Wire do
-  @moduledoc """
-  Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
-
-      iex> alias Situ.Bridge.Ros.{Definition, Wire}
-      iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
-      iex> {:ok, bytes} = Wire.encode(definition, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}, :ros1)
-      iex> Wire.decode(definition, bytes, :ros1)
-      {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
-
-  A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN and
-  infinities are atoms. When a message is encoded, missing fields are zero, empty or false.
-
-  Decoding never allocates more than the input justifies. CDR is read in both byte orders and written in little-endian
-  order, with the alignment of version 1, which ROS 2 uses.
-  """
+  @moduledoc false
+  # Encodes and decodes messages of any ROS type, in ROS 1's serialization (`:ros1`) or ROS 2's CDR (`:cdr`).
+  #
+  # A message is a map with string keys. Times and durations are in nanoseconds. Lists of bytes are binaries; NaN
+  # and infinities are atoms. When a message is encoded, missing fields are zero, empty or false. Decoding never
+  # allocates more than the input justifies. CDR is read in both byte orders and written in little-endian order,
+  # with the alignment of version 1, which ROS 2 uses.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
@@ -154,15 +146,23 @@ defmodule Situ.Bridge.Ros.Wire do
 
   defp take_bytes(n, cursor) do
     case cursor.bytes do
-      <<taken::binary-pinned_size(n), rest::binary>> ->
-        {taken, %{cursor | bytes: rest, at: cursor.at + n}}
+      <<part::binary-pinned_size(n), rest::binary>> ->
+        {part, %{cursor | bytes: rest, at: cursor.at + n}}
 
       bytes ->
         fail_decoding("the data ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
     end
   end
 
-  @doc "Encodes a message. Returns a sentence with the value that does not fit if that fails."
+  @doc """
+  Encodes a message. Returns a sentence with the value that does not fit if that fails.
+
+      iex> alias Situ.Bridge.Ros.{Definition, Wire}
+      iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
+      iex> {:ok, bytes} = Wire.encode(definition, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}, :ros1)
+      iex> Wire.decode(definition, bytes, :ros1)
+      {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
+  """
   @spec encode(Definition.t(), map(), encoding()) :: {:ok, binary()} | {:error, String.t()}
   def encode(definition, message, encoding) do
     {parts, _at} = put_message(definition.name, definition.types, message, {[], 0}, encoding)
@@ -172,80 +172,80 @@ defmodule Situ.Bridge.Ros.Wire do
     {:not_writable, value} -> {:error, "#{inspect(value, limit: 5)} does not fit its field"}
   end
 
-  defp put_message(name, _types, time, out, encoding)
+  defp put_message(name, _types, time, acc, encoding)
        when name in ["builtin_interfaces/Time", "builtin_interfaces/Duration"],
-       do: put_stamp(time || 0, :int32, out, encoding)
+       do: put_stamp(time || 0, :int32, acc, encoding)
 
-  defp put_message(name, types, message, out, encoding) when is_map(message) or is_nil(message) do
-    Enum.reduce(Map.fetch!(types, name).fields, out, fn {field, type}, out ->
-      put_value(type, types, message && Map.get(message, field), out, encoding)
+  defp put_message(name, types, message, acc, encoding) when is_map(message) or is_nil(message) do
+    Enum.reduce(Map.fetch!(types, name).fields, acc, fn {field, type}, acc ->
+      put_value(type, types, message && Map.get(message, field), acc, encoding)
     end)
   end
 
   defp put_message(_name, _types, other, _out, _encoding), do: throw({:not_writable, other})
 
-  defp put_value({:message, name}, types, value, out, encoding),
-    do: put_message(name, types, value, out, encoding)
+  defp put_value({:message, name}, types, value, acc, encoding),
+    do: put_message(name, types, value, acc, encoding)
 
-  defp put_value({:array, type, n}, types, value, out, encoding) do
+  defp put_value({:array, type, n}, types, value, acc, encoding) do
     if value != nil and count_elements(value) != n, do: throw({:not_writable, value})
-    put_values(type, types, value || zero_elements(type, n), out, encoding)
+    put_values(type, types, value || zero_elements(type, n), acc, encoding)
   end
 
-  defp put_value({:list, type}, types, value, out, encoding) do
+  defp put_value({:list, type}, types, value, acc, encoding) do
     value = value || []
 
     put_values(
       type,
       types,
       value,
-      put_number(:uint32, count_elements(value), out, encoding),
+      put_number(:uint32, count_elements(value), acc, encoding),
       encoding
     )
   end
 
-  defp put_value(:string, _types, value, out, :ros1) do
+  defp put_value(:string, _types, value, acc, :ros1) do
     text = check_text(value)
-    append_bytes(text, put_number(:uint32, byte_size(text), out, :ros1))
+    append_bytes(text, put_number(:uint32, byte_size(text), acc, :ros1))
   end
 
-  defp put_value(:string, _types, value, out, :cdr) do
+  defp put_value(:string, _types, value, acc, :cdr) do
     text = check_text(value) <> <<0>>
-    append_bytes(text, put_number(:uint32, byte_size(text), out, :cdr))
+    append_bytes(text, put_number(:uint32, byte_size(text), acc, :cdr))
   end
 
-  defp put_value(:wstring, _types, value, out, encoding) do
+  defp put_value(:wstring, _types, value, acc, encoding) do
     text = :unicode.characters_to_binary(check_text(value), :utf8, {:utf16, :little})
-    append_bytes(text, put_number(:uint32, div(byte_size(text), 2), out, encoding))
+    append_bytes(text, put_number(:uint32, div(byte_size(text), 2), acc, encoding))
   end
 
-  defp put_value(:time, _types, value, out, encoding),
-    do: put_stamp(value || 0, :uint32, out, encoding)
+  defp put_value(:time, _types, value, acc, encoding),
+    do: put_stamp(value || 0, :uint32, acc, encoding)
 
-  defp put_value(:duration, _types, value, out, encoding),
-    do: put_stamp(value || 0, :int32, out, encoding)
+  defp put_value(:duration, _types, value, acc, encoding),
+    do: put_stamp(value || 0, :int32, acc, encoding)
 
-  defp put_value(kind, _types, nil, out, encoding),
-    do: put_number(kind, if(kind == :bool, do: false, else: 0), out, encoding)
+  defp put_value(kind, _types, nil, acc, encoding),
+    do: put_number(kind, if(kind == :bool, do: false, else: 0), acc, encoding)
 
-  defp put_value(kind, _types, value, out, encoding), do: put_number(kind, value, out, encoding)
+  defp put_value(kind, _types, value, acc, encoding), do: put_number(kind, value, acc, encoding)
 
-  defp put_stamp(ns, seconds, out, encoding) when is_integer(ns) do
-    out = put_number(seconds, Integer.floor_div(ns, 1_000_000_000), out, encoding)
-    put_number(:uint32, Integer.mod(ns, 1_000_000_000), out, encoding)
+  defp put_stamp(ns, seconds, acc, encoding) when is_integer(ns) do
+    acc = put_number(seconds, Integer.floor_div(ns, 1_000_000_000), acc, encoding)
+    put_number(:uint32, Integer.mod(ns, 1_000_000_000), acc, encoding)
   end
 
   defp put_stamp(other, _seconds, _out, _encoding), do: throw({:not_writable, other})
 
-  defp put_values(kind, _types, bytes, out, _encoding)
+  defp put_values(kind, _types, bytes, acc, _encoding)
        when is_binary(bytes) and kind in [:uint8, :int8],
-       do: append_bytes(bytes, out)
+       do: append_bytes(bytes, acc)
 
   defp put_values(_type, _types, value, _out, _encoding) when not is_list(value),
     do: throw({:not_writable, value})
 
-  defp put_values(type, types, list, out, encoding),
-    do: Enum.reduce(list, out, &put_value(type, types, &1, &2, encoding))
+  defp put_values(type, types, list, acc, encoding),
+    do: Enum.reduce(list, acc, &put_value(type, types, &1, &2, encoding))
 
   defp count_elements(bytes) when is_binary(bytes), do: byte_size(bytes)
   defp count_elements(list) when is_list(list), do: length(list)
@@ -268,7 +268,7 @@ defmodule Situ.Bridge.Ros.Wire do
     )
   end
 
-  defp put_number(kind, value, out, :ros1), do: append_bytes(Number.encode(kind, value), out)
+  defp put_number(kind, value, acc, :ros1), do: append_bytes(Number.encode(kind, value), acc)
 
   defp append_bytes(bytes, {parts, at}), do: {[bytes | parts], at + byte_size(bytes)}
 end

@@ -191,9 +191,9 @@ defmodule Situ.Bridge.Ros.XmlRpc do
     http = [timeout: timeout, connect_timeout: timeout, autoredirect: false]
     request = {String.to_charlist(uri), headers, ~c"text/xml", body}
 
-    with {:ok, {{_, 200, _}, _, answer}} <-
+    with {:ok, {{_, 200, _}, _, response}} <-
            :httpc.request(:post, request, http, body_format: :binary),
-         {:ok, value} <- read_response(answer) do
+         {:ok, value} <- read_response(response) do
       {:ok, value}
     else
       {:ok, {{_, status, _}, _, _}} ->

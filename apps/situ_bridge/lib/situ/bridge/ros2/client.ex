@@ -6,20 +6,20 @@ defmodule Situ.Bridge.Ros2.Client do
   alias Situ.Bridge.Ros2.{Keys, TypeHash, Zenoh}
   alias Situ.Error
 
-  @node 0
-  @token 1
+  @node_id 0
+  @token_id 1
   # The ids of requests start at this number.
-  @first 16
-  @last 0xFFFFFFFF
+  @first_id 16
+  @last_id 0xFFFFFFFF
 
   @doc "Calls a service once with a temporary client."
   def call(service, type, text, request, opts) do
     {timeout, opts} = Keyword.pop(opts, :timeout, 5_000)
 
     with {:ok, client} <- start_link(service, type, text, opts) do
-      answer = send_request(client, request, timeout)
+      result = send_request(client, request, timeout)
       stop(client)
-      answer
+      result
     end
   end
 
@@ -34,9 +34,13 @@ defmodule Situ.Bridge.Ros2.Client do
   def start_link(service, type, text, opts) do
     opts = Situ.Options.validate!(opts, Zenoh.options())
 
-    with {:ok, about} <- describe_service(service, type, text),
+    with {:ok, service_info} <- describe_service(service, type, text),
          {:ok, program} <- Zenoh.find_program(),
-         do: GenServer.start_link(__MODULE__, Map.merge(about, %{opts: opts, program: program}))
+         do:
+           GenServer.start_link(
+             __MODULE__,
+             Map.merge(service_info, %{opts: opts, program: program})
+           )
   end
 
   @doc "Returns the name, types and hash of a service, which its client and server share."
@@ -68,12 +72,16 @@ defmodule Situ.Bridge.Ros2.Client do
     do: GenServer.call(client, {:ask, request, timeout}, :infinity)
 
   @impl true
-  def init(about) do
+  def init(service_info) do
     Process.flag(:trap_exit, true)
-    port = Zenoh.open(about.program, about.opts[:router])
-    rest = %{port: port, up?: false, waiting: [], requests: %{}, next: @first, sequence: 0}
+    port = Zenoh.open(service_info.program, service_info.opts[:router])
+    initial = %{port: port, up?: false, unsent: [], requests: %{}, next: @first_id, sequence: 0}
     gid = :crypto.strong_rand_bytes(16)
-    {:ok, about |> Map.merge(rest) |> Map.merge(%{node: Zenoh.node_name(about.opts), gid: gid})}
+
+    {:ok,
+     service_info
+     |> Map.merge(initial)
+     |> Map.merge(%{node: Zenoh.node_name(service_info.opts), gid: gid})}
   end
 
   @impl true
@@ -83,19 +91,19 @@ defmodule Situ.Bridge.Ros2.Client do
         {:noreply, schedule_request(state, from, bytes, timeout)}
 
       {:error, why} ->
-        what = "a request of #{state.name} cannot be written"
-        {:reply, {:error, Error.new(:not_writable, what, why: why)}, state}
+        title = "a request of #{state.name} cannot be written"
+        {:reply, {:error, Error.new(:not_writable, title, why: why)}, state}
     end
   end
 
   defp schedule_request(%{next: id} = state, from, bytes, timeout) do
     timer = Process.send_after(self(), {:late, id, timeout}, timeout)
-    next = if id == @last, do: @first, else: id + 1
+    next = if id == @last_id, do: @first_id, else: id + 1
     state = %{state | requests: Map.put(state.requests, id, {from, timer}), next: next}
 
     if state.up?,
       do: send_query(state, {id, bytes, timeout}),
-      else: %{state | waiting: [{id, bytes, timeout} | state.waiting]}
+      else: %{state | unsent: [{id, bytes, timeout} | state.unsent]}
   end
 
   # Zenoh waits a little longer than the caller, so that the caller's timer decides.
@@ -118,7 +126,7 @@ defmodule Situ.Bridge.Ros2.Client do
   end
 
   def handle_info({:late, id, timeout}, state) do
-    {what, fix} =
+    {title, fix} =
       if state.up?,
         do:
           {"the service #{state.name} did not respond",
@@ -127,7 +135,7 @@ defmodule Situ.Bridge.Ros2.Client do
           {"no router at #{state.opts[:router]}",
            "start `rmw_zenohd`, or name another router with `router:`"}
 
-    error = Error.new(:ros_unreachable, what, why: "after #{timeout} ms", fix: fix)
+    error = Error.new(:ros_unreachable, title, why: "after #{timeout} ms", fix: fix)
     {:noreply, reply_to_caller(state, id, {:error, error})}
   end
 
@@ -136,25 +144,25 @@ defmodule Situ.Bridge.Ros2.Client do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
-    about = {state.name, state.type, state.hash, nil}
-    Zenoh.declare_token(port, @node, Keys.node_token(opts[:domain], session, state.node))
+    service_info = {state.name, state.type, state.hash, nil}
+    Zenoh.declare_token(port, @node_id, Keys.node_token(opts[:domain], session, state.node))
 
     Zenoh.declare_token(
       port,
-      @token,
-      Keys.endpoint_token(:client, opts[:domain], session, state.node, about)
+      @token_id,
+      Keys.endpoint_token(:client, opts[:domain], session, state.node, service_info)
     )
 
-    waiting = Enum.reverse(state.waiting)
-    Enum.reduce(waiting, %{state | up?: true, waiting: []}, &send_query(&2, &1))
+    unsent = Enum.reverse(state.unsent)
+    Enum.reduce(unsent, %{state | up?: true, unsent: []}, &send_query(&2, &1))
   end
 
   defp handle_frame({:answer, id, _attachment, payload}, state) do
-    answer =
+    result =
       with {:error, why} <- Wire.decode(state.definition.response, payload, :cdr),
            do: {:error, refused_error("the response of #{state.name} cannot be decoded", why)}
 
-    reply_to_caller(state, id, answer)
+    reply_to_caller(state, id, result)
   end
 
   defp handle_frame({:refusal, id, why}, state),
@@ -166,7 +174,7 @@ defmodule Situ.Bridge.Ros2.Client do
       )
 
   # This frame ends a query. If the request is still open, no server has replied.
-  defp handle_frame({:answered, id}, state) do
+  defp handle_frame({:query_end, id}, state) do
     error =
       Error.new(:ros_refused, "no server offers the service #{state.name}",
         why: "the client uses #{state.type}, #{state.hash}",
@@ -186,17 +194,17 @@ defmodule Situ.Bridge.Ros2.Client do
 
   defp handle_frame(_other, state), do: state
 
-  defp refused_error(what, why), do: Error.new(:ros_refused, what, why: why)
+  defp refused_error(title, why), do: Error.new(:ros_refused, title, why: why)
   defp printable_text(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
 
-  defp reply_to_caller(state, id, answer) do
+  defp reply_to_caller(state, id, result) do
     case Map.pop(state.requests, id) do
       {nil, _} ->
         state
 
       {{from, timer}, requests} ->
         Process.cancel_timer(timer)
-        GenServer.reply(from, answer)
+        GenServer.reply(from, result)
         %{state | requests: requests}
     end
   end

@@ -7,20 +7,20 @@ defmodule Situ.Bridge.Ros2.Server do
   alias Situ.Bridge.Ros2.{Client, Keys, Zenoh}
   alias Situ.Error
 
-  @service 1
-  @node 2
-  @token 3
-  @again 1_000
-  @patience 5_000
+  @service_id 1
+  @node_id 2
+  @token_id 3
+  @restart_ms 1_000
+  @timeout_ms 5_000
 
   def start_link(service, type, text, fun, opts) do
-    {timeout, opts} = Keyword.pop(opts, :timeout, @patience)
+    {timeout, opts} = Keyword.pop(opts, :timeout, @timeout_ms)
     opts = Situ.Options.validate!(opts, Zenoh.options())
 
-    with {:ok, about} <- Client.describe_service(service, type, text),
+    with {:ok, service_info} <- Client.describe_service(service, type, text),
          {:ok, program} <- Zenoh.find_program() do
-      given = %{opts: opts, program: program, fun: fun, node: Zenoh.node_name(opts)}
-      {:ok, server} = GenServer.start_link(__MODULE__, Map.merge(about, given))
+      args = %{opts: opts, program: program, fun: fun, node: Zenoh.node_name(opts)}
+      {:ok, server} = GenServer.start_link(__MODULE__, Map.merge(service_info, args))
       await_ready(server, timeout, opts)
     end
   end
@@ -40,10 +40,10 @@ defmodule Situ.Bridge.Ros2.Server do
   end
 
   @impl true
-  def init(given) do
+  def init(args) do
     Process.flag(:trap_exit, true)
-    port = Zenoh.open(given.program, given.opts[:router])
-    {:ok, Map.merge(given, %{port: port, up?: false, wait: nil, workers: %{}})}
+    port = Zenoh.open(args.program, args.opts[:router])
+    {:ok, Map.merge(args, %{port: port, up?: false, ready_caller: nil, workers: %{}})}
   end
 
   @impl true
@@ -51,7 +51,7 @@ defmodule Situ.Bridge.Ros2.Server do
 
   def handle_call({:ready, timeout}, from, state) do
     Process.send_after(self(), :late, timeout)
-    {:noreply, %{state | wait: from}}
+    {:noreply, %{state | ready_caller: from}}
   end
 
   @impl true
@@ -61,11 +61,11 @@ defmodule Situ.Bridge.Ros2.Server do
   # Callers whose requests are lost get an error from Zenoh.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.warning("zenoh_port ended with status #{status}; restarting it")
-    Process.send_after(self(), :again, @again)
+    Process.send_after(self(), :restart, @restart_ms)
     {:noreply, %{state | port: nil, up?: false, workers: %{}}}
   end
 
-  def handle_info(:again, state),
+  def handle_info(:restart, state),
     do: {:noreply, %{state | port: Zenoh.open(state.program, state.opts[:router])}}
 
   def handle_info(:late, state), do: {:noreply, reply_ready(state, false)}
@@ -86,31 +86,31 @@ defmodule Situ.Bridge.Ros2.Server do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp worker_result({:answer, answer}), do: answer
+  defp worker_result({:answer, result}), do: result
   defp worker_result(reason), do: {:error, "the server failed: #{inspect(reason, limit: 20)}"}
 
   defp send_answer(state, request, attachment, {:ok, bytes}),
-    do: Zenoh.send_answer(state.port, @service, request, {:ok, attachment, bytes})
+    do: Zenoh.send_answer(state.port, @service_id, request, {:ok, attachment, bytes})
 
   defp send_answer(state, request, _attachment, {:error, why}),
-    do: Zenoh.send_answer(state.port, @service, request, {:error, to_string(why)})
+    do: Zenoh.send_answer(state.port, @service_id, request, {:error, to_string(why)})
 
   defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
-    about = {state.name, state.type, state.hash, nil}
+    service_info = {state.name, state.type, state.hash, nil}
     key = Keys.service_key(opts[:domain], state.name, state.type, state.hash)
-    Zenoh.declare_token(port, @node, Keys.node_token(opts[:domain], session, state.node))
-    Zenoh.declare_service(port, @service, key)
+    Zenoh.declare_token(port, @node_id, Keys.node_token(opts[:domain], session, state.node))
+    Zenoh.declare_service(port, @service_id, key)
 
     Zenoh.declare_token(
       port,
-      @token,
-      Keys.endpoint_token(:server, opts[:domain], session, state.node, about)
+      @token_id,
+      Keys.endpoint_token(:server, opts[:domain], session, state.node, service_info)
     )
 
     reply_ready(%{state | up?: true}, true)
   end
 
-  defp handle_frame({:request_received, _id, request, attachment, payload}, state) do
+  defp handle_frame({:request, _id, request, attachment, payload}, state) do
     case Keys.reply_attachment(attachment, System.os_time(:nanosecond)) do
       {:ok, attachment} ->
         worker = spawn_link(fn -> exit({:answer, run_request(state, payload)}) end)
@@ -120,7 +120,7 @@ defmodule Situ.Bridge.Ros2.Server do
         why =
           "a ROS 2 request must have an attachment with its number, its time and the id of the client"
 
-        Zenoh.send_answer(state.port, @service, request, {:error, why})
+        Zenoh.send_answer(state.port, @service_id, request, {:error, why})
         state
     end
   end
@@ -132,11 +132,11 @@ defmodule Situ.Bridge.Ros2.Server do
 
   defp handle_frame(_other, state), do: state
 
-  defp reply_ready(%{wait: nil} = state, _up?), do: state
+  defp reply_ready(%{ready_caller: nil} = state, _up?), do: state
 
   defp reply_ready(state, up?) do
-    GenServer.reply(state.wait, up?)
-    %{state | wait: nil}
+    GenServer.reply(state.ready_caller, up?)
+    %{state | ready_caller: nil}
   end
 
   defp run_request(%{definition: definition, fun: fun}, payload) do

@@ -1,8 +1,9 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
   # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which holds the Zenoh session, and restarts
-  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `in_flight` counts
-  # the samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
+  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`.
+  # `unread_counter` counts the samples that the owner has not yet handled; samples beyond the high-water mark are
+  # dropped.
   use GenServer, restart: :temporary
   require Logger
   alias Situ.Bridge.Net.Drain
@@ -11,27 +12,17 @@ defmodule Situ.Bridge.Ros2.Session do
   alias Situ.Error
   @behaviour PeerSender
 
-  @again 1_000
-  @topic 1
-  @node 2
-  @token 3
+  @restart_ms 1_000
+  @topic_id 1
+  @node_id 2
+  @token_id 3
 
-  defstruct [
-    :owner,
-    :opts,
-    :port,
-    :gid,
-    up?: false,
-    on_way: 0,
-    sequence: 0,
-    waiting: [],
-    dropped: 0
-  ]
+  defstruct [:owner, :opts, :port, :gid, up?: false, unconfirmed: 0, sequence: 0, dropped: 0]
 
   @doc """
   Starts a session for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or
-  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber, `in_flight`. Error:
-  `:no_zenoh_port`.
+  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber,
+  `unread_counter`. Error: `:no_zenoh_port`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
@@ -64,26 +55,26 @@ defmodule Situ.Bridge.Ros2.Session do
   end
 
   defp start_program(%{opts: opts} = state),
-    do: %{state | port: Zenoh.open(opts[:program], opts[:router]), up?: false, on_way: 0}
+    do: %{state | port: Zenoh.open(opts[:program], opts[:router]), up?: false, unconfirmed: 0}
 
   @impl true
   def handle_call(:ready, _from, state), do: {:reply, if(state.up?, do: 1, else: 0), state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
   def handle_call({:put, time, payload}, _from, %{opts: opts} = state) do
-    if state.up? and state.on_way < opts[:high_water_mark] do
+    if state.up? and state.unconfirmed < opts[:high_water_mark] do
       attachment = Keys.build_attachment(state.sequence + 1, time, state.gid)
-      Zenoh.put(state.port, @topic, attachment, payload)
-      {:reply, :ok, %{state | sequence: state.sequence + 1, on_way: state.on_way + 1}}
+      Zenoh.put(state.port, @topic_id, attachment, payload)
+      {:reply, :ok, %{state | sequence: state.sequence + 1, unconfirmed: state.unconfirmed + 1}}
     else
       {:reply, :full, state}
     end
   end
 
-  def handle_call({:drain, until}, from, state), do: drain_samples(from, until, state)
+  def handle_call({:drain, deadline}, from, state), do: drain_samples(from, deadline, state)
 
-  defp drain_samples(from, until, state) do
-    Drain.reply_when_drained(from, until, state.on_way)
+  defp drain_samples(from, deadline, state) do
+    Drain.reply_when_drained(from, deadline, state.unconfirmed)
     {:noreply, state}
   end
 
@@ -93,12 +84,12 @@ defmodule Situ.Bridge.Ros2.Session do
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.warning("zenoh_port ended with status #{status}; restarting it")
-    Process.send_after(self(), :again, @again)
+    Process.send_after(self(), :restart, @restart_ms)
     {:noreply, %{state | port: nil, up?: false}}
   end
 
-  def handle_info(:again, state), do: {:noreply, start_program(state)}
-  def handle_info({:drain, from, until}, state), do: drain_samples(from, until, state)
+  def handle_info(:restart, state), do: {:noreply, start_program(state)}
+  def handle_info({:drain, from, deadline}, state), do: drain_samples(from, deadline, state)
   def handle_info({:EXIT, owner, reason}, %{owner: owner} = state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
@@ -106,19 +97,19 @@ defmodule Situ.Bridge.Ros2.Session do
   defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
     {domain, topic, type, depth} = {opts[:domain], opts[:topic], opts[:type], opts[:depth]}
     key = Keys.topic_key(domain, topic, type, opts[:hash])
-    Zenoh.declare_token(port, @node, Keys.node_token(domain, session, opts[:node]))
+    Zenoh.declare_token(port, @node_id, Keys.node_token(domain, session, opts[:node]))
 
     if opts[:role] == :publisher,
-      do: Zenoh.declare_publisher(port, @topic, key, depth),
-      else: Zenoh.declare_subscriber(port, @topic, key, depth)
+      do: Zenoh.declare_publisher(port, @topic_id, key, depth),
+      else: Zenoh.declare_subscriber(port, @topic_id, key, depth)
 
     if type do
-      about = {topic, type, opts[:hash], depth}
+      topic_info = {topic, type, opts[:hash], depth}
 
       Zenoh.declare_token(
         port,
-        @token,
-        Keys.endpoint_token(opts[:role], domain, session, opts[:node], about)
+        @token_id,
+        Keys.endpoint_token(opts[:role], domain, session, opts[:node], topic_info)
       )
     end
 
@@ -126,10 +117,10 @@ defmodule Situ.Bridge.Ros2.Session do
   end
 
   defp handle_frame({:sample, _id, key, attachment, payload}, state) do
-    in_flight = state.opts[:in_flight]
+    unread_counter = state.opts[:unread_counter]
 
-    if :atomics.get(in_flight, 1) < state.opts[:high_water_mark] do
-      :atomics.add(in_flight, 1, 1)
+    if :atomics.get(unread_counter, 1) < state.opts[:high_water_mark] do
+      :atomics.add(unread_counter, 1, 1)
       send(state.owner, {:ros2, {key, attachment, payload}})
       state
     else
@@ -137,7 +128,7 @@ defmodule Situ.Bridge.Ros2.Session do
     end
   end
 
-  defp handle_frame({:put, _id}, state), do: %{state | on_way: max(state.on_way - 1, 0)}
+  defp handle_frame({:put, _id}, state), do: %{state | unconfirmed: max(state.unconfirmed - 1, 0)}
 
   defp handle_frame({:trouble, _id, why}, state) do
     Logger.warning("Zenoh: #{why}")

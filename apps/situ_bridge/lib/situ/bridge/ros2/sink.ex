@@ -25,25 +25,25 @@ defmodule Situ.Bridge.Ros2.Sink do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: opts, channel: nil, outlet: PeerSender.new([wait_for: 0] ++ opts)}}
+    do: {:ok, %{opts: opts, channel: nil, sender: PeerSender.new([wait_for: 0] ++ opts)}}
 
   @impl true
   def handle_start(_context, state) do
     if state.opts[:ros_type], do: {[], open_topic(state, nil)}, else: {[], state}
   end
 
-  defp open_topic(%{opts: opts} = state, first) do
-    given = [
+  defp open_topic(%{opts: opts} = state, first_value) do
+    channel_opts = [
       type: opts[:ros_type],
       definition: opts[:definition],
       frame: opts[:frame],
       encoding: :cdr
     ]
 
-    channel = opts[:topic] |> Channel.new(given, first) |> Situ.Error.unwrap!()
+    channel = opts[:topic] |> Channel.new(channel_opts, first_value) |> Situ.Error.unwrap!()
     definition = channel.definition
 
-    about = [
+    session_opts = [
       role: :publisher,
       node: Zenoh.node_name(opts),
       depth: Source.latch_depth(opts),
@@ -52,7 +52,7 @@ defmodule Situ.Bridge.Ros2.Sink do
     ]
 
     session =
-      (about ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark]))
+      (session_opts ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark]))
       |> Session.start_link()
 
     session = Situ.Error.unwrap!(session)
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Ros2.Sink do
     %{
       state
       | channel: channel,
-        outlet: PeerSender.attach_door(state.outlet, Session, session, nil)
+        sender: PeerSender.attach_server(state.sender, Session, session, nil)
     }
   end
 
@@ -71,24 +71,24 @@ defmodule Situ.Bridge.Ros2.Sink do
   def handle_message(:in, message, _context, state) do
     time = message.originating_time
     bytes = Situ.Error.unwrap!(Channel.encode(state.channel, message.data, time))
-    state.outlet |> PeerSender.send_payload({time, bytes}) |> with_outlet(state)
+    state.sender |> PeerSender.send_payload({time, bytes}) |> put_sender(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> PeerSender.handle_stage_message(message) |> with_outlet(state)
+    do: state.sender |> PeerSender.handle_stage_message(message) |> put_sender(state)
 
-  defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
+  defp put_sender({actions, sender}, state), do: {actions, %{state | sender: sender}}
 
   @impl true
   def handle_closed(:in, _time, _context, %{channel: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state),
-    do: {[], %{state | outlet: PeerSender.close(state.outlet)}}
+    do: {[], %{state | sender: PeerSender.close(state.sender)}}
 
   @impl true
-  def terminate(_reason, state), do: PeerSender.close_now(state.outlet)
+  def terminate(_reason, state), do: PeerSender.close_now(state.sender)
 
   @impl true
-  def describe(state), do: PeerSender.describe_peers(state.outlet)
+  def describe(state), do: PeerSender.describe_peers(state.sender)
 end

@@ -3,24 +3,24 @@ defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Ros2.Zenoh
 
   # Options shared by sources and sinks.
-  @common Zenoh.options() ++
-            [
-              ros_type: [
-                type: {:optional, :string},
-                default: nil,
-                doc: "The ROS type, such as \"sensor_msgs/msg/Imu\"."
-              ],
-              definition: [
-                type: {:optional, :string},
-                default: nil,
-                doc: "The definition (`.msg`), unless the type is a standard ROS type."
-              ],
-              depth: [
-                type: {:integer, 1, 1_000_000},
-                default: 1,
-                doc: "Number of messages that `latch:` keeps (ROS's depth)."
-              ]
-            ]
+  @common_options Zenoh.options() ++
+                    [
+                      ros_type: [
+                        type: {:optional, :string},
+                        default: nil,
+                        doc: "The ROS type, such as \"sensor_msgs/msg/Imu\"."
+                      ],
+                      definition: [
+                        type: {:optional, :string},
+                        default: nil,
+                        doc: "The definition (`.msg`), unless the type is a standard ROS type."
+                      ],
+                      depth: [
+                        type: {:integer, 1, 1_000_000},
+                        default: 1,
+                        doc: "Number of messages that `latch:` keeps (ROS's depth)."
+                      ]
+                    ]
   @schema [
             topic: [type: :string, required: true, doc: "The topic."],
             times: [
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Ros2.Source do
                 "Also receives the last messages sent before, if the publisher keeps them (durability TRANSIENT_LOCAL)."
             ],
             type: [type: :any, default: :any, doc: "The type of the stream."]
-          ] ++ @common ++ Codec.reader_options()
+          ] ++ @common_options ++ Codec.reader_options()
   @moduledoc false
   # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -51,26 +51,42 @@ defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Ros2.{Keys, Session, TypeHash}
 
   def schema, do: @schema
-  def common_options, do: @common
+  def common_options, do: @common_options
 
   @doc "Returns the depth of the session according to `latch:` and `depth:`, or nil."
   def latch_depth(opts), do: if(opts[:latch], do: opts[:depth])
 
   @impl true
   def init(opts) do
-    inlet = PayloadDecoder.new(times: opts[:times], format: :ros)
-    {:ok, %{opts: opts, session: nil, in_flight: :atomics.new(1, []), inlet: inlet, known: %{}}}
+    decoder = PayloadDecoder.new(times: opts[:times], format: :ros)
+
+    {:ok,
+     %{
+       opts: opts,
+       session: nil,
+       unread_counter: :atomics.new(1, []),
+       decoder: decoder,
+       definitions: %{}
+     }}
   end
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    {known, about} = expected_type(opts)
+    {definitions, type_opts} = expected_type(opts)
 
-    given = [role: :subscriber, in_flight: state.in_flight, node: Zenoh.node_name(opts)]
-    given = [depth: latch_depth(opts)] ++ given ++ about
-    given = given ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
-    session = given |> Session.start_link() |> Situ.Error.unwrap!()
-    {[{:complete, :infinity}], %{state | session: session, known: known}}
+    session_opts = [
+      role: :subscriber,
+      unread_counter: state.unread_counter,
+      node: Zenoh.node_name(opts)
+    ]
+
+    session_opts = [depth: latch_depth(opts)] ++ session_opts ++ type_opts
+
+    session_opts =
+      session_opts ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
+
+    session = session_opts |> Session.start_link() |> Situ.Error.unwrap!()
+    {[{:complete, :infinity}], %{state | session: session, definitions: definitions}}
   end
 
   # If the options name a type, only that type is accepted.
@@ -105,14 +121,14 @@ defmodule Situ.Bridge.Ros2.Source do
 
   @impl true
   def handle_info({:ros2, {key, attachment, payload}}, context, state) do
-    :atomics.sub(state.in_flight, 1, 1)
+    :atomics.sub(state.unread_counter, 1, 1)
     {definition, state} = ensure_definition(Keys.parse_type(key), state)
 
-    read =
+    result =
       decode_payload(payload, definition, Keys.parse_time(attachment), context.now, state.opts)
 
-    {actions, inlet} = PayloadDecoder.take_decoded(state.inlet, [read])
-    {actions, %{state | inlet: inlet}}
+    {actions, decoder} = PayloadDecoder.take_decoded(state.decoder, [result])
+    {actions, %{state | decoder: decoder}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
@@ -120,16 +136,16 @@ defmodule Situ.Bridge.Ros2.Source do
   defp ensure_definition(:error, state),
     do: {{:error, "the key of the message contains no type"}, state}
 
-  defp ensure_definition({:ok, type}, %{known: known} = state) do
-    case known do
+  defp ensure_definition({:ok, type}, %{definitions: definitions} = state) do
+    case definitions do
       %{^type => definition} ->
         {definition, state}
 
       _ ->
         definition = find_definition(type, state.opts[:definition])
         # A topic has one type, so a small cache is enough.
-        known = if map_size(known) < 16, do: known, else: %{}
-        {definition, %{state | known: Map.put(known, type, definition)}}
+        definitions = if map_size(definitions) < 16, do: definitions, else: %{}
+        {definition, %{state | definitions: Map.put(definitions, type, definition)}}
     end
   end
 
@@ -167,5 +183,5 @@ defmodule Situ.Bridge.Ros2.Source do
   end
 
   @impl true
-  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.decoder)
 end

@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   }
 
   # The types that a service consists of, in addition to the type of the service itself.
-  @parts ["_Request", "_Response", "_Event"]
+  @service_parts ["_Request", "_Response", "_Event"]
 
   @doc """
   Returns the hash of a ROS 2 definition.
@@ -57,7 +57,7 @@ defmodule Situ.Bridge.Ros2.TypeHash do
 
     text = Enum.join(parts, "\n" <> String.duplicate("=", 80) <> "\n")
     {:ok, definition} = Definition.parse(name, text, :ros2)
-    hash_type(name, definition.types, [name | for(part <- @parts, do: name <> part)])
+    hash_type(name, definition.types, [name | for(part <- @service_parts, do: name <> part)])
   end
 
   # `services` contains the types that belong to a service; their full names contain `/srv/`.
@@ -76,14 +76,14 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     "RIHS01_" <> Base.encode16(:crypto.hash(:sha256, json), case: :lower)
   end
 
-  defp collect_types(name, types, found) do
-    if name in found do
-      found
+  defp collect_types(name, types, names) do
+    if name in names do
+      names
     else
       for {_, type} <- types[name].fields,
           {:message, inner} <- [element_type(type)],
-          reduce: MapSet.put(found, name) do
-        found -> collect_types(inner, types, found)
+          reduce: MapSet.put(names, name) do
+        names -> collect_types(inner, types, names)
       end
     end
   end
@@ -98,8 +98,8 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   end
 
   defp describe_type(name, types, services) do
-    %{fields: fields, spelled: spelled} = types[name]
-    fields = Enum.zip_with(fields, spelled, &describe_field(&1, &2, services))
+    %{fields: fields, texts: texts} = types[name]
+    fields = Enum.zip_with(fields, texts, &describe_field(&1, &2, services))
 
     [
       ~s({"type_name": "#{full_name(name, services)}", "fields": [),
@@ -108,14 +108,14 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     ]
   end
 
-  defp describe_field({name, type}, spelled, services) do
-    {id, nested} = type_id(element_type(type), spelled, services)
-    {text, list?, bound} = parse_bounds(spelled)
-    {above, capacity} = array_capacity(type, list?, bound)
+  defp describe_field({name, type}, type_text, services) do
+    {id, nested} = type_id(element_type(type), type_text, services)
+    {text, list?, bound} = parse_bounds(type_text)
+    {offset, capacity} = array_capacity(type, list?, bound)
     # Bounded strings have separate type ids.
     id = if text > 0, do: id + 4, else: id
 
-    ~s({"name": "#{name}", "type": {"type_id": #{id + above}, "capacity": #{capacity}, ) <>
+    ~s({"name": "#{name}", "type": {"type_id": #{id + offset}, "capacity": #{capacity}, ) <>
       ~s("string_capacity": #{text}, "nested_type_name": "#{nested}"}})
   end
 
@@ -124,10 +124,10 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   defp type_id(type, _spelled, _services), do: {Map.fetch!(@ids, type), ""}
 
   # Parses the maximum lengths of a string and of a list.
-  defp parse_bounds(spelled) do
+  defp parse_bounds(type_text) do
     [_, text, bounded, n] =
       ~r/\A[\w\/]+?(?:<=(\d+))?(?:\[(<=)?(\d*)\])?\z/
-      |> Regex.run(spelled)
+      |> Regex.run(type_text)
       |> Kernel.++(["", "", "", ""])
       |> Enum.take(4)
 

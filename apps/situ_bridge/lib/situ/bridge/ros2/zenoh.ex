@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   # See docs/adr/0105-large-libraries-run-in-separate-programs.md.
   alias Situ.Error
 
-  @address [
+  @options [
     router: [
       type: :string,
       default: "tcp/127.0.0.1:7447",
@@ -20,21 +20,20 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   ]
 
   @type id :: 0..0xFFFFFFFF
-  @type heard ::
+  @type frame ::
           {:open, session :: String.t()}
           | {:sample, id(), key :: String.t(), attachment :: binary(), payload :: binary()}
           | {:put, id()}
-          | {:request_received, id(), request :: id(), attachment :: binary(),
-             payload :: binary()}
+          | {:request, id(), request :: id(), attachment :: binary(), payload :: binary()}
           | {:answer, id(), attachment :: binary(), payload :: binary()}
           | {:refusal, id(), why :: binary()}
-          | {:answered, id()}
+          | {:query_end, id()}
           | {:trouble, id(), why :: binary()}
           | :unknown
 
   @doc "Returns the options for the router, the domain and the node."
   @spec options() :: Situ.Options.schema()
-  def options, do: @address
+  def options, do: @options
 
   @doc "Returns the node's name from the options, or a random name."
   @spec node_name(keyword()) :: String.t()
@@ -44,8 +43,8 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   @doc "Finds the program. Error: `:no_zenoh_port`."
   @spec find_program() :: {:ok, Path.t()} | {:error, Error.t()}
   def find_program do
-    built = Path.join([:code.priv_dir(:situ_bridge), "zenoh", "zenoh_port"])
-    path = System.get_env("SITU_ZENOH_PORT") || built
+    default_path = Path.join([:code.priv_dir(:situ_bridge), "zenoh", "zenoh_port"])
+    path = System.get_env("SITU_ZENOH_PORT") || default_path
 
     if File.regular?(path) do
       {:ok, path}
@@ -116,7 +115,7 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   def send_answer(port, id, request, {:error, why}),
     do: send_command(port, 12, id, [<<request::32>>, why])
 
-  defp send_command(port, what, id, rest), do: Port.command(port, [what, <<id::32>>, rest])
+  defp send_command(port, command, id, rest), do: Port.command(port, [command, <<id::32>>, rest])
   defp with_size(part), do: [<<byte_size(part)::16>>, part]
 
   @doc """
@@ -125,25 +124,25 @@ defmodule Situ.Bridge.Ros2.Zenoh do
       iex> Situ.Bridge.Ros2.Zenoh.parse_frame(<<4, 7::32>>)
       {:put, 7}
   """
-  @spec parse_frame(binary()) :: heard()
+  @spec parse_frame(binary()) :: frame()
   def parse_frame(<<1, session::binary>>), do: {:open, session}
 
   def parse_frame(
-        <<2, id::32, n::16, key::binary-size(n), m::16, attached::binary-size(m),
+        <<2, id::32, n::16, key::binary-size(n), m::16, attachment::binary-size(m),
           payload::binary>>
       ),
-      do: {:sample, id, key, attached, payload}
+      do: {:sample, id, key, attachment, payload}
 
   def parse_frame(<<4, id::32>>), do: {:put, id}
 
-  def parse_frame(<<5, id::32, request::32, n::16, attached::binary-size(n), payload::binary>>),
-    do: {:request_received, id, request, attached, payload}
+  def parse_frame(<<5, id::32, request::32, n::16, attachment::binary-size(n), payload::binary>>),
+    do: {:request, id, request, attachment, payload}
 
-  def parse_frame(<<6, id::32, n::16, attached::binary-size(n), payload::binary>>),
-    do: {:answer, id, attached, payload}
+  def parse_frame(<<6, id::32, n::16, attachment::binary-size(n), payload::binary>>),
+    do: {:answer, id, attachment, payload}
 
   def parse_frame(<<7, id::32, why::binary>>), do: {:refusal, id, why}
-  def parse_frame(<<8, id::32>>), do: {:answered, id}
+  def parse_frame(<<8, id::32>>), do: {:query_end, id}
   def parse_frame(<<255, id::32, why::binary>>), do: {:trouble, id, why}
   def parse_frame(_other), do: :unknown
 end

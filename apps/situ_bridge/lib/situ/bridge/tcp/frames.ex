@@ -14,15 +14,15 @@ defmodule Situ.Bridge.Tcp.Frames do
   """
   @spec split_frames(binary(), pos_integer()) ::
           {:ok, [binary()], binary()} | {:error, String.t()}
-  def split_frames(bytes, most), do: collect_payloads(bytes, most, [])
+  def split_frames(bytes, max), do: collect_payloads(bytes, max, [])
 
-  defp collect_payloads(<<n::little-32, _::binary>>, most, _found) when n > most,
-    do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
+  defp collect_payloads(<<n::little-32, _::binary>>, max, _payloads) when n > max,
+    do: {:error, "a frame of #{n} bytes; the limit is #{max}"}
 
-  defp collect_payloads(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
-    do: collect_payloads(rest, most, [copy_payload(payload, rest) | found])
+  defp collect_payloads(<<n::little-32, payload::binary-size(n), rest::binary>>, max, payloads),
+    do: collect_payloads(rest, max, [copy_payload(payload, rest) | payloads])
 
-  defp collect_payloads(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
+  defp collect_payloads(rest, _max, payloads), do: {:ok, Enum.reverse(payloads), rest}
 
   # Copying a payload releases the received binary. A payload that makes up most of its binary is not copied.
   defp copy_payload(payload, rest) when byte_size(payload) > byte_size(rest) + 65_536, do: payload
@@ -37,18 +37,18 @@ defmodule Situ.Bridge.Tcp.Frames do
 
   # Clients send no messages; their bytes are dropped.
   @impl Protocol
-  def heard(_bytes, _arg), do: {:ok, "", ""}
+  def handle_bytes(_bytes, _arg), do: {:ok, "", ""}
 
   @impl Protocol
   def hello(_host, _port, _arg), do: {"", ""}
 
   @impl Protocol
-  def read(bytes, rest, most) do
-    with {:ok, payloads, rest} <- split_frames(rest <> bytes, most), do: {:ok, payloads, "", rest}
+  def read(bytes, rest, max) do
+    with {:ok, payloads, rest} <- split_frames(rest <> bytes, max), do: {:ok, payloads, "", rest}
   end
 
   # An empty payload needs no further bytes, because it is returned together with its length.
   @impl Protocol
-  def missing(<<n::little-32, begun::binary>>), do: n - byte_size(begun)
-  def missing(begun), do: 4 - byte_size(begun)
+  def missing_bytes(<<n::little-32, bytes::binary>>), do: n - byte_size(bytes)
+  def missing_bytes(bytes), do: 4 - byte_size(bytes)
 end

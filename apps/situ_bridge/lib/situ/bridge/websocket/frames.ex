@@ -9,7 +9,7 @@ defmodule Situ.Bridge.WebSocket.Frames do
 
   @type event :: {:text | :binary | :close | :ping | :pong, binary()}
   # The kind and the parts of an incomplete message, or `nil`.
-  @type begun :: {:text | :binary, [binary()]} | nil
+  @type partial :: {:text | :binary, [binary()]} | nil
 
   @doc """
   Encodes one frame; a client masks it with four random bytes.
@@ -44,15 +44,15 @@ defmodule Situ.Bridge.WebSocket.Frames do
   Splits `bytes` into complete messages; returns them with the remaining bytes and the incomplete message, if any.
   Frames must be masked (sent by a client) if `masked?` is true, and unmasked otherwise. Errors are sentences.
   """
-  @spec split_messages(binary(), begun(), masked? :: boolean(), most :: pos_integer()) ::
-          {:ok, [event()], binary(), begun()} | {:error, String.t()}
-  def split_messages(bytes, begun, masked?, most),
-    do: collect_events(bytes, begun, {masked?, most}, [])
+  @spec split_messages(binary(), partial(), masked? :: boolean(), max :: pos_integer()) ::
+          {:ok, [event()], binary(), partial()} | {:error, String.t()}
+  def split_messages(bytes, partial, masked?, max),
+    do: collect_events(bytes, partial, {masked?, max}, [])
 
-  defp collect_events(bytes, begun, {masked?, most} = how, found) do
-    case parse_frame(bytes, most) do
+  defp collect_events(bytes, partial, {masked?, max} = rules, events) do
+    case parse_frame(bytes, max) do
       :more ->
-        {:ok, Enum.reverse(found), bytes, begun}
+        {:ok, Enum.reverse(events), bytes, partial}
 
       {:ok, _fin, _opcode, mask, _payload, _rest} when is_nil(mask) == masked? ->
         {:error, "a frame that is #{if masked?, do: "not ", else: ""}masked"}
@@ -60,32 +60,32 @@ defmodule Situ.Bridge.WebSocket.Frames do
       {:ok, fin, opcode, mask, payload, rest} ->
         payload = if mask, do: apply_mask(payload, mask), else: :binary.copy(payload)
 
-        with {:ok, event, begun} <- add_frame(opcode, fin, payload, begun, most),
-             do: collect_events(rest, begun, how, List.wrap(event) ++ found)
+        with {:ok, event, partial} <- add_frame(opcode, fin, payload, partial, max),
+             do: collect_events(rest, partial, rules, List.wrap(event) ++ events)
 
       error ->
         error
     end
   end
 
-  defp parse_frame(<<_fin::1, reserved::3, _::bitstring>>, _most) when reserved != 0,
+  defp parse_frame(<<_fin::1, reserved::3, _::bitstring>>, _max) when reserved != 0,
     do: {:error, "a frame with reserved bits"}
 
-  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 127::7, n::64, rest::binary>>, most),
-    do: split_frame(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 127::7, n::64, rest::binary>>, max),
+    do: split_frame(fin, opcode, m, n, rest, max)
 
-  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 126::7, n::16, rest::binary>>, most),
-    do: split_frame(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 126::7, n::16, rest::binary>>, max),
+    do: split_frame(fin, opcode, m, n, rest, max)
 
-  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, n::7, rest::binary>>, most) when n < 126,
-    do: split_frame(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, n::7, rest::binary>>, max) when n < 126,
+    do: split_frame(fin, opcode, m, n, rest, max)
 
-  defp parse_frame(_short, _most), do: :more
+  defp parse_frame(_short, _max), do: :more
 
-  defp split_frame(_fin, _opcode, _m, n, _rest, most) when n > most,
-    do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
+  defp split_frame(_fin, _opcode, _m, n, _rest, max) when n > max,
+    do: {:error, "a frame of #{n} bytes; the limit is #{max}"}
 
-  defp split_frame(fin, opcode, m, n, bytes, _most) do
+  defp split_frame(fin, opcode, m, n, bytes, _max) do
     case bytes do
       <<mask::binary-4, payload::binary-pinned_size(n), rest::binary>> when m == 1 ->
         {:ok, fin, opcode, mask, payload, rest}
@@ -108,25 +108,25 @@ defmodule Situ.Bridge.WebSocket.Frames do
   defp remaining_bytes(masked, n, rest), do: max(4 * masked + n - byte_size(rest), 1)
 
   # Control frames are never fragmented, and may arrive between the parts of a message.
-  defp add_frame(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
+  defp add_frame(opcode, fin, payload, partial, _max) when (opcode &&& 8) != 0 do
     case @opcodes[opcode] do
       kind when kind != nil and fin == 1 and byte_size(payload) < 126 ->
-        {:ok, {kind, payload}, begun}
+        {:ok, {kind, payload}, partial}
 
       _ ->
         {:error, "an invalid control frame"}
     end
   end
 
-  defp add_frame(0, _fin, _payload, nil, _most),
+  defp add_frame(0, _fin, _payload, nil, _max),
     do: {:error, "a continuation frame without a first frame"}
 
-  defp add_frame(0, fin, payload, {kind, parts}, most) do
+  defp add_frame(0, fin, payload, {kind, parts}, max) do
     parts = [payload | parts]
 
     cond do
-      parts |> Enum.map(&byte_size/1) |> Enum.sum() > most ->
-        {:error, "a message of more than #{most} bytes"}
+      parts |> Enum.map(&byte_size/1) |> Enum.sum() > max ->
+        {:error, "a message of more than #{max} bytes"}
 
       fin == 1 ->
         {:ok, {kind, parts |> Enum.reverse() |> IO.iodata_to_binary()}, nil}
@@ -136,12 +136,12 @@ defmodule Situ.Bridge.WebSocket.Frames do
     end
   end
 
-  defp add_frame(opcode, fin, payload, nil, _most) when opcode in [1, 2] do
+  defp add_frame(opcode, fin, payload, nil, _max) when opcode in [1, 2] do
     if fin == 1,
       do: {:ok, {@opcodes[opcode], payload}, nil},
       else: {:ok, nil, {@opcodes[opcode], [payload]}}
   end
 
-  defp add_frame(opcode, _fin, _payload, _begun, _most),
+  defp add_frame(opcode, _fin, _payload, _partial, _max),
     do: {:error, "an unexpected frame with opcode #{opcode}"}
 end

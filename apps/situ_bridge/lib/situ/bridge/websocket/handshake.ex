@@ -6,7 +6,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
   # no origin. Pages of this machine and pages with an origin in `origins:` are admitted.
 
   @salt "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
-  @most 16_384
+  @max_head 16_384
 
   @doc """
   Checks a request on the server. Options: `origins:`, and `protocols:` with the supported subprotocols, the preferred
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
       [head, rest] ->
         check_request(head, rest, opts)
 
-      [_] when byte_size(bytes) > @most ->
+      [_] when byte_size(bytes) > @max_head ->
         refuse_request("431 Request Header Fields Too Large", "")
 
       [_] ->
@@ -50,10 +50,10 @@ defmodule Situ.Bridge.WebSocket.Handshake do
           "Pages of this site may not connect; see the option `origins:`.\n"
         )
 
-      {:error, wanted} ->
+      {:error, supported} ->
         refuse_request(
           "400 Bad Request",
-          "Request a supported subprotocol: #{Enum.join(wanted, ", ")}.\n"
+          "Request a supported subprotocol: #{Enum.join(supported, ", ")}.\n"
         )
 
       _ ->
@@ -88,12 +88,12 @@ defmodule Situ.Bridge.WebSocket.Handshake do
 
   defp choose_protocol(_headers, []), do: {:ok, nil}
 
-  defp choose_protocol(headers, ours) do
-    theirs =
+  defp choose_protocol(headers, supported) do
+    requested =
       (headers["sec-websocket-protocol"] || "") |> String.split(",") |> Enum.map(&String.trim/1)
 
-    case Enum.find(ours, &(&1 in theirs)) do
-      nil -> {:error, ours}
+    case Enum.find(supported, &(&1 in requested)) do
+      nil -> {:error, supported}
       protocol -> {:ok, protocol}
     end
   end
@@ -149,7 +149,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
             {:ok, rest}
         end
 
-      [_] when byte_size(bytes) > @most ->
+      [_] when byte_size(bytes) > @max_head ->
         {:error, "the response is not HTTP"}
 
       [_] ->

@@ -6,7 +6,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   alias Situ.Bridge.ZeroMQ.Wire
 
   # The time limit of the handshake, ms.
-  @handshake 5_000
+  @handshake_ms 5_000
 
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
@@ -24,13 +24,13 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     state = Map.merge(initial, Map.new(opts))
 
     if state.address, do: send(self(), :connect)
-    Process.send_after(self(), :too_slow, @handshake)
+    Process.send_after(self(), :too_slow, @handshake_ms)
     {:ok, state}
   end
 
   @impl true
   def handle_info(:connect, %{address: {host, port}} = state) do
-    case :gen_tcp.connect(host, port, tcp_options(), @handshake) do
+    case :gen_tcp.connect(host, port, tcp_options(), @handshake_ms) do
       {:ok, tcp} -> begin_handshake(tcp, state)
       {:error, reason} -> {:stop, {:shutdown, {:unreachable, reason}}, state}
     end
@@ -64,7 +64,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     do: {:stop, {:shutdown, {:refused, "the handshake timed out"}}, state}
 
   def handle_info({:send, bytes}, state) do
-    case SendQueue.flush(state.queued, state.tcp, bytes) do
+    case SendQueue.flush(state.send_queue, state.tcp, bytes) do
       :ok -> {:noreply, state}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   defp arm_socket(%{tcp: nil} = state), do: state
 
   defp arm_socket(state) do
-    if :atomics.get(state.in_flight, 1) < state.high_water_mark,
+    if :atomics.get(state.unread_counter, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 
@@ -129,14 +129,14 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
 
   defp handle_buffer(%{phase: :open} = state) do
     with {:ok, events, parts, rest} <-
-           Wire.parse_events(state.buffer, state.parts, state.type, state.most) do
+           Wire.parse_events(state.buffer, state.parts, state.type, state.max_bytes) do
       messages = for {:message, frames} <- events, do: frames
 
       for {kind, prefix} when kind != :message <- events,
           do: send(state.socket, {:peer, self(), {kind, prefix}})
 
       if messages != [] do
-        :atomics.add(state.in_flight, 1, length(messages))
+        :atomics.add(state.unread_counter, 1, length(messages))
         send(state.owner, {:zeromq, messages})
       end
 

@@ -8,7 +8,7 @@ defmodule Situ.Bridge.ZeroMQ.SharedPublisher do
   alias Situ.Error
   @behaviour PeerSender
 
-  @most 64 * 1024 * 1024
+  @max_bytes 64 * 1024 * 1024
 
   @enforce_keys [:server]
   defstruct [:server]
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.ZeroMQ.SharedPublisher do
 
   @impl PeerSender
   def close({server, _socket}, timeout) do
-    GenServer.call(server, {:done, timeout}, timeout + 10_000)
+    GenServer.call(server, {:close, timeout}, timeout + 10_000)
   catch
     :exit, _ -> 0
   end
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.ZeroMQ.SharedPublisher do
   def handle_call(:expect, _from, state), do: {:reply, :ok, %{state | streams: state.streams + 1}}
 
   def handle_call(:open, _from, %{socket: nil} = state) do
-    case Socket.open(:pub, state.address, [most: @most] ++ state.opts) do
+    case Socket.open(:pub, state.address, [most: @max_bytes] ++ state.opts) do
       {:ok, socket} -> {:reply, open_reply(socket, state), %{state | socket: socket}}
       error -> {:reply, error, state}
     end
@@ -62,12 +62,12 @@ defmodule Situ.Bridge.ZeroMQ.SharedPublisher do
 
   def handle_call(:open, _from, state), do: {:reply, open_reply(state.socket, state), state}
 
-  def handle_call({:done, timeout}, _from, %{streams: 1} = state) do
-    lost = if state.socket, do: Socket.close(state.socket, timeout), else: 0
-    {:stop, :normal, lost, %{state | socket: nil}}
+  def handle_call({:close, timeout}, _from, %{streams: 1} = state) do
+    lost_count = if state.socket, do: Socket.close(state.socket, timeout), else: 0
+    {:stop, :normal, lost_count, %{state | socket: nil}}
   end
 
-  def handle_call({:done, _timeout}, _from, state),
+  def handle_call({:close, _timeout}, _from, state),
     do: {:reply, 0, %{state | streams: state.streams - 1}}
 
   defp open_reply(socket, state),

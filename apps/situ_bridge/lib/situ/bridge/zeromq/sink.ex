@@ -23,7 +23,7 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   use PeerSender
   alias Situ.Bridge.ZeroMQ.Socket
 
-  @most 64 * 1024 * 1024
+  @max_bytes 64 * 1024 * 1024
 
   def schema, do: @schema
 
@@ -31,24 +31,24 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   def init(opts), do: {:ok, PeerSender.new(opts)}
 
   @impl true
-  def handle_start(_context, outlet) do
-    if outlet.opts[:shared], do: open_shared(outlet), else: open_own(outlet)
+  def handle_start(_context, sender) do
+    if sender.opts[:shared], do: open_shared(sender), else: open_own(sender)
   end
 
-  defp open_shared(%{opts: opts} = outlet) do
+  defp open_shared(%{opts: opts} = sender) do
     case SharedPublisher.open_stream(opts[:shared]) do
-      {:ok, door, port} -> {[], PeerSender.attach_door(outlet, SharedPublisher, door, port)}
+      {:ok, server, port} -> {[], PeerSender.attach_server(sender, SharedPublisher, server, port)}
       {:error, error} -> raise error
     end
   end
 
-  defp open_own(%{opts: opts} = outlet) do
-    given = Keyword.take(opts, [:bind, :high_water_mark])
+  defp open_own(%{opts: opts} = sender) do
+    socket_opts = Keyword.take(opts, [:bind, :high_water_mark])
 
-    case Socket.open(opts[:socket], opts[:address], [most: @most] ++ given) do
+    case Socket.open(opts[:socket], opts[:address], [most: @max_bytes] ++ socket_opts) do
       {:ok, socket} ->
         port = if opts[:bind], do: Socket.port(socket)
-        {[], PeerSender.attach_door(outlet, Socket, socket, port)}
+        {[], PeerSender.attach_server(sender, Socket, socket, port)}
 
       {:error, error} ->
         raise error
@@ -56,8 +56,8 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   end
 
   @impl true
-  def handle_message(:in, message, _context, outlet),
-    do: PeerSender.send_payload(outlet, build_frames(message, outlet.opts))
+  def handle_message(:in, message, _context, sender),
+    do: PeerSender.send_payload(sender, build_frames(message, sender.opts))
 
   defp build_frames(message, opts) do
     payload = PeerSender.encode_payload(message, opts)

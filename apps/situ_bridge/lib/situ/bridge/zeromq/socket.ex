@@ -9,8 +9,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @behaviour PeerSender
   require Logger
 
-  @first_wait 50
-  @longest_wait 5_000
+  @min_wait_ms 50
+  @max_wait_ms 5_000
 
   defstruct [
     :type,
@@ -20,20 +20,20 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     :listener,
     :acceptor,
     :opts,
-    :in_flight,
+    :unread_counter,
     peers: %{},
-    wait: @first_wait,
+    wait_ms: @min_wait_ms,
     dropped: 0,
     turn: 0,
-    reported_error: nil
+    logged_error: nil
   ]
 
   @doc "Opens a socket that listens or connects. Errors: `:bad_address`, `:address_in_use`."
   @spec open(Wire.type(), String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def open(type, address, opts) do
-    with {:ok, parsed} <- parse_address(address),
-         {:ok, listener} <- open_listener(parsed, opts[:bind]) do
-      args = %{type: type, address: parsed, listener: listener, owner: self(), opts: opts}
+    with {:ok, endpoint} <- parse_address(address),
+         {:ok, listener} <- open_listener(endpoint, opts[:bind]) do
+      args = %{type: type, address: endpoint, listener: listener, owner: self(), opts: opts}
       {:ok, socket} = GenServer.start_link(__MODULE__, args)
       if listener, do: :ok = :gen_tcp.controlling_process(listener, socket)
       send(socket, :begin)
@@ -83,10 +83,10 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def dropped(socket), do: GenServer.call(socket, :dropped)
 
   @doc "Records that the owner has taken `n` messages."
-  def subtract_taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
+  def subtract_read(socket_state, n), do: :atomics.sub(socket_state, 1, n)
 
-  @doc "Returns the counter of messages in flight, which `subtract_taken/2` decrements."
-  def in_flight_counter(socket), do: GenServer.call(socket, :in_flight)
+  @doc "Returns the counter of unread messages, which `subtract_read/2` decrements."
+  def unread_counter(socket), do: GenServer.call(socket, :unread_counter)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
   @impl PeerSender
@@ -99,7 +99,9 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def init(args) do
     Process.flag(:trap_exit, true)
     bind? = args.listener != nil
-    {:ok, struct!(__MODULE__, Map.merge(args, %{bind?: bind?, in_flight: :atomics.new(1, [])}))}
+
+    {:ok,
+     struct!(__MODULE__, Map.merge(args, %{bind?: bind?, unread_counter: :atomics.new(1, [])}))}
   end
 
   @impl true
@@ -110,12 +112,12 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     {:reply, pid, state}
   end
 
-  def handle_call(:in_flight, _from, state), do: {:reply, state.in_flight, state}
+  def handle_call(:unread_counter, _from, state), do: {:reply, state.unread_counter, state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
   def handle_call(:ready, _from, %{type: :pub} = state),
     do:
-      {:reply, Enum.count(state.peers, fn {_, peer} -> peer.open? and peer.wants != [] end),
+      {:reply, Enum.count(state.peers, fn {_, peer} -> peer.open? and peer.prefixes != [] end),
        state}
 
   def handle_call(:ready, _from, state),
@@ -124,35 +126,38 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_call({:put, [topic | _] = frames}, _from, %{type: :pub} = state) do
     bytes = Wire.encode_message(frames)
 
-    wanting =
+    subscribers =
       for {pid, peer} <- state.peers,
           peer.open?,
-          Enum.any?(peer.wants, &String.starts_with?(topic, &1)),
+          Enum.any?(peer.prefixes, &String.starts_with?(topic, &1)),
           do: {pid, peer}
 
-    dropped = Enum.count(wanting, &(put_message(&1, bytes, state) == :full))
+    dropped = Enum.count(subscribers, &(put_message(&1, bytes, state) == :full))
     {:reply, :ok, %{state | dropped: state.dropped + dropped}}
   end
 
   # Messages go to the peers in turn; peers without room are skipped.
   def handle_call({:put, frames}, _from, %{type: :push} = state) do
     open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
-    {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
+    {skipped, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
     bytes = Wire.encode_message(frames)
-    sent = Enum.any?(from ++ before, &(put_message(&1, bytes, state) == :ok))
-    {:reply, if(sent, do: :ok, else: :full), %{state | turn: state.turn + 1}}
+    sent? = Enum.any?(from ++ skipped, &(put_message(&1, bytes, state) == :ok))
+    {:reply, if(sent?, do: :ok, else: :full), %{state | turn: state.turn + 1}}
   end
 
-  def handle_call({:drain, until}, from, state) do
-    Drain.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
+  def handle_call({:drain, deadline}, from, state) do
+    Drain.reply_when_drained(from, deadline, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
   defp count_waiting(state),
-    do: state.peers |> Enum.map(fn {_, p} -> SendQueue.count_waiting(p.queued) end) |> Enum.sum()
+    do:
+      state.peers
+      |> Enum.map(fn {_, p} -> SendQueue.count_waiting(p.send_queue) end)
+      |> Enum.sum()
 
   defp put_message({pid, peer}, bytes, state),
-    do: SendQueue.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
+    do: SendQueue.put(peer.send_queue, pid, bytes, state.opts[:high_water_mark])
 
   @impl true
   def handle_info(:begin, %{bind?: true} = state),
@@ -160,33 +165,37 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
 
   def handle_info(:begin, state), do: {:noreply, connect_peer(state)}
 
-  def handle_info({:drain, from, until}, state) do
-    Drain.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
+  def handle_info({:drain, from, deadline}, state) do
+    Drain.reply_when_drained(from, deadline, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
   def handle_info({:peer, pid, :open}, state),
     do:
       {:noreply,
-       update_peer(%{state | wait: @first_wait, reported_error: nil}, pid, &%{&1 | open?: true})}
+       update_peer(
+         %{state | wait_ms: @min_wait_ms, logged_error: nil},
+         pid,
+         &%{&1 | open?: true}
+       )}
 
   def handle_info({:peer, pid, {:subscribe, prefix}}, state),
-    do: {:noreply, update_peer(state, pid, &%{&1 | wants: [prefix | &1.wants]})}
+    do: {:noreply, update_peer(state, pid, &%{&1 | prefixes: [prefix | &1.prefixes]})}
 
   def handle_info({:peer, pid, {:unsubscribe, prefix}}, state),
-    do: {:noreply, update_peer(state, pid, &%{&1 | wants: List.delete(&1.wants, prefix)})}
+    do: {:noreply, update_peer(state, pid, &%{&1 | prefixes: List.delete(&1.prefixes, prefix)})}
 
   def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
 
   def handle_info({:EXIT, pid, reason}, state) when is_map_key(state.peers, pid) do
     state = state |> Map.update!(:peers, &Map.delete(&1, pid)) |> report_failure(reason)
-    unless state.bind?, do: Process.send_after(self(), :again, state.wait)
-    {:noreply, %{state | wait: min(state.wait * 2, @longest_wait)}}
+    unless state.bind?, do: Process.send_after(self(), :connect, state.wait_ms)
+    {:noreply, %{state | wait_ms: min(state.wait_ms * 2, @max_wait_ms)}}
   end
 
   def handle_info({:EXIT, pid, reason}, %{owner: pid} = state), do: {:stop, reason, state}
   def handle_info({:EXIT, _pid, _reason}, state), do: {:noreply, state}
-  def handle_info(:again, state), do: {:noreply, connect_peer(state)}
+  def handle_info(:connect, state), do: {:noreply, connect_peer(state)}
 
   # A normal exit does not propagate through links, so the connections are stopped explicitly.
   @impl true
@@ -204,13 +213,13 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   # A repeated error is logged once, not at every attempt.
   defp report_failure(state, {:shutdown, {kind, _} = reason})
        when kind in [:refused, :unreachable] do
-    if state.reported_error != reason,
+    if state.logged_error != reason,
       do:
         Logger.warning(
           "ZeroMQ #{state.type} at #{elem(state.address, 0)}:#{elem(state.address, 1)}: #{inspect(reason)}"
         )
 
-    %{state | reported_error: reason}
+    %{state | logged_error: reason}
   end
 
   defp report_failure(state, _reason), do: state
@@ -218,7 +227,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   defp connect_peer(state), do: state |> start_peer(state.address) |> elem(1)
 
   defp start_peer(state, address) do
-    queued = SendQueue.new()
+    send_queue = SendQueue.new()
 
     {:ok, pid} =
       Peer.start_link(
@@ -228,11 +237,15 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
         type: state.type,
         subscriptions: state.opts[:subscriptions] || [],
         high_water_mark: state.opts[:high_water_mark],
-        most: state.opts[:most],
-        queued: queued,
-        in_flight: state.in_flight
+        max_bytes: state.opts[:most],
+        send_queue: send_queue,
+        unread_counter: state.unread_counter
       )
 
-    {pid, %{state | peers: Map.put(state.peers, pid, %{open?: false, wants: [], queued: queued})}}
+    {pid,
+     %{
+       state
+       | peers: Map.put(state.peers, pid, %{open?: false, prefixes: [], send_queue: send_queue})
+     }}
   end
 end

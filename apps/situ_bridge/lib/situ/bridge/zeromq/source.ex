@@ -41,20 +41,20 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: opts, socket: nil, in_flight: nil, inlet: PayloadDecoder.new(opts)}}
+    do: {:ok, %{opts: opts, socket: nil, unread_counter: nil, decoder: PayloadDecoder.new(opts)}}
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
     subscriptions = if opts[:socket] == :sub, do: [opts[:topic]], else: []
-    given = Keyword.take(opts, [:bind, :high_water_mark, :most])
+    socket_opts = Keyword.take(opts, [:bind, :high_water_mark, :most])
 
-    case Socket.open(opts[:socket], opts[:address], [subscriptions: subscriptions] ++ given) do
+    case Socket.open(opts[:socket], opts[:address], [subscriptions: subscriptions] ++ socket_opts) do
       {:ok, socket} ->
         if opts[:listening] && opts[:bind],
           do: send(opts[:listening], {:listening, Socket.port(socket)})
 
         {[{:complete, :infinity}],
-         %{state | socket: socket, in_flight: Socket.in_flight_counter(socket)}}
+         %{state | socket: socket, unread_counter: Socket.unread_counter(socket)}}
 
       {:error, error} ->
         raise error
@@ -63,10 +63,10 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def handle_info({:zeromq, messages}, context, state) do
-    Socket.subtract_taken(state.in_flight, length(messages))
+    Socket.subtract_read(state.unread_counter, length(messages))
     payloads = Enum.flat_map(messages, &take_payload(&1, state.opts))
-    {actions, inlet} = PayloadDecoder.take_payloads(state.inlet, payloads, context.now)
-    {actions, %{state | inlet: inlet}}
+    {actions, decoder} = PayloadDecoder.take_payloads(state.decoder, payloads, context.now)
+    {actions, %{state | decoder: decoder}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
@@ -97,5 +97,5 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   end
 
   @impl true
-  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.decoder)
 end

@@ -47,16 +47,16 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   @doc "Checks the READY command of the other side, whose socket type must be compatible with `type`."
   @spec parse_ready(binary(), type(), pos_integer()) ::
           {:ok, rest :: binary()} | :more | {:error, String.t()}
-  def parse_ready(bytes, type, most) do
-    case parse_frame(bytes, most) do
+  def parse_ready(bytes, type, max) do
+    case parse_frame(bytes, max) do
       {:ok, {flags, <<5, "READY", properties::binary>>}, rest} when (flags &&& 4) != 0 ->
-        theirs = find_property(properties, "socket-type")
+        peer_type = find_property(properties, "socket-type")
 
-        if theirs in @peers[type],
+        if peer_type in @peers[type],
           do: {:ok, rest},
           else:
             {:error,
-             "it is a #{theirs || "socket without a type"}, which is incompatible with #{@names[type]}"}
+             "it is a #{peer_type || "socket without a type"}, which is incompatible with #{@names[type]}"}
 
       {:ok, {flags, <<5, "ERROR", n, reason::binary-size(n), _::binary>>}, _}
       when (flags &&& 4) != 0 ->
@@ -72,11 +72,11 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
 
   defp find_property(
          <<n, name::binary-size(n), m::32, value::binary-size(m), rest::binary>>,
-         wanted
+         property
        ),
-       do: if(String.downcase(name) == wanted, do: value, else: find_property(rest, wanted))
+       do: if(String.downcase(name) == property, do: value, else: find_property(rest, property))
 
-  defp find_property(_, _wanted), do: nil
+  defp find_property(_, _property), do: nil
 
   @doc "Encodes a message of several frames."
   @spec encode_message([iodata()]) :: iodata()
@@ -101,23 +101,23 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   """
   @spec parse_events(binary(), [binary()], type(), pos_integer()) ::
           {:ok, [event()], [binary()], binary()} | {:error, String.t()}
-  def parse_events(bytes, parts, type, most), do: collect_events(bytes, parts, type, most, [])
+  def parse_events(bytes, parts, type, max), do: collect_events(bytes, parts, type, max, [])
 
-  defp collect_events(bytes, parts, type, most, found) do
-    case parse_frame(bytes, most - parts_size(parts)) do
+  defp collect_events(bytes, parts, type, max, events) do
+    case parse_frame(bytes, max - parts_size(parts)) do
       {:ok, {flags, body}, rest} when (flags &&& 4) != 0 ->
-        collect_events(rest, parts, type, most, parse_command(body) ++ found)
+        collect_events(rest, parts, type, max, parse_command(body) ++ events)
 
       {:ok, {flags, body}, rest} when (flags &&& 1) != 0 ->
-        collect_events(rest, [body | parts], type, most, found)
+        collect_events(rest, [body | parts], type, max, events)
 
       {:ok, {_flags, body}, rest} ->
-        collect_events(rest, [], type, most, [
-          to_event(type, Enum.reverse([body | parts])) | found
+        collect_events(rest, [], type, max, [
+          to_event(type, Enum.reverse([body | parts])) | events
         ])
 
       :more ->
-        {:ok, Enum.reverse(found), parts, bytes}
+        {:ok, Enum.reverse(events), parts, bytes}
 
       error ->
         error
@@ -143,22 +143,22 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   defp parse_command(<<6, "CANCEL", prefix::binary>>), do: [{:unsubscribe, prefix}]
   defp parse_command(_other), do: []
 
-  defp parse_frame(<<flags, _::binary>>, _most) when flags > 7,
+  defp parse_frame(<<flags, _::binary>>, _max) when flags > 7,
     do: {:error, "a frame with the reserved flags #{flags}"}
 
-  defp parse_frame(<<flags, n::64, _::binary>>, most) when (flags &&& 2) != 0 and n > most,
-    do: {:error, "a message of more than #{most} bytes"}
+  defp parse_frame(<<flags, n::64, _::binary>>, max) when (flags &&& 2) != 0 and n > max,
+    do: {:error, "a message of more than #{max} bytes"}
 
-  defp parse_frame(<<flags, n::64, body::binary-size(n), rest::binary>>, _most)
+  defp parse_frame(<<flags, n::64, body::binary-size(n), rest::binary>>, _max)
        when (flags &&& 2) != 0,
        do: {:ok, {flags, :binary.copy(body)}, rest}
 
-  defp parse_frame(<<flags, n, _::binary>>, most) when (flags &&& 2) == 0 and n > most,
+  defp parse_frame(<<flags, n, _::binary>>, max) when (flags &&& 2) == 0 and n > max,
     do: {:error, "a message of more bytes than allowed"}
 
-  defp parse_frame(<<flags, n, body::binary-size(n), rest::binary>>, _most)
+  defp parse_frame(<<flags, n, body::binary-size(n), rest::binary>>, _max)
        when (flags &&& 2) == 0,
        do: {:ok, {flags, :binary.copy(body)}, rest}
 
-  defp parse_frame(_short, _most), do: :more
+  defp parse_frame(_short, _max), do: :more
 end

@@ -114,7 +114,7 @@ defmodule Situ.Bridge.Net.ClientSocketTest do
     :gen_tcp.close(socket)
     :ok = ClientSocket.activate_once(dialled)
     assert_receive message = {:tcp_closed, _}
-    assert ClientSocket.match_message(message, dialled) == {:gone, :closed}
+    assert ClientSocket.match_message(message, dialled) == {:disconnected, :closed}
     assert ClientSocket.match_message(:something, nil) == :other
   end
 end

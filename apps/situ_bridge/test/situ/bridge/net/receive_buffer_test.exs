@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Net.ReceiveBufferTest do
   defp through(module, cut, state) do
     {_pieces, _state, got, reads} =
       Enum.reduce(cut, {%ReceiveBuffer{}, state, [], 0}, fn bytes, {pieces, state, got, reads} ->
-        case ReceiveBuffer.add_bytes(pieces, bytes, module.missing(state)) do
+        case ReceiveBuffer.add_bytes(pieces, bytes, module.missing_bytes(state)) do
           {:more, pieces} ->
             {pieces, state, got, reads}
 

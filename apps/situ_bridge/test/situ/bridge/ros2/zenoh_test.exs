@@ -21,11 +21,11 @@ defmodule Situ.Bridge.Ros2.ZenohTest do
              {:sample, 7, "key", "at", "payload"}
 
     assert Zenoh.parse_frame(<<5, 7::32, 9::32, 2::16, "at", "ask">>) ==
-             {:request_received, 7, 9, "at", "ask"}
+             {:request, 7, 9, "at", "ask"}
 
     assert Zenoh.parse_frame(<<6, 7::32, 0::16>>) == {:answer, 7, "", ""}
     assert Zenoh.parse_frame(<<7, 7::32, "no">>) == {:refusal, 7, "no"}
-    assert Zenoh.parse_frame(<<8, 7::32>>) == {:answered, 7}
+    assert Zenoh.parse_frame(<<8, 7::32>>) == {:query_end, 7}
     assert Zenoh.parse_frame(<<255, 7::32, "why">>) == {:trouble, 7, "why"}
 
     for frame <- ["", <<2, 7::32, 9::16, "key">>, <<5, 7::32>>, <<77, 7::32>>],

@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
     size = byte_size(text) - 2
 
     case text do
-      <<whole::binary-pinned_size(size), ".0">> -> whole
+      <<integer::binary-pinned_size(size), ".0">> -> integer
       _ -> text
     end
   end
@@ -49,11 +49,13 @@ defmodule Situ.Bridge.Format.Csv.Number do
         do: {"-", String.slice(mantissa, 1..-1//1)},
         else: {"", mantissa}
 
-    [whole, fraction] = String.split(mantissa <> ".", ".") |> Enum.take(2)
-    digits = whole <> fraction
-    trimmed = String.trim_leading(digits, "0")
-    moved = byte_size(whole) - (byte_size(digits) - byte_size(trimmed))
-    {sign, trimmed |> String.trim_trailing("0") |> or_zero(), String.to_integer(exponent) + moved}
+    [integer, fraction] = String.split(mantissa <> ".", ".") |> Enum.take(2)
+    digits = integer <> fraction
+    significant = String.trim_leading(digits, "0")
+    point = byte_size(integer) - (byte_size(digits) - byte_size(significant))
+
+    {sign, significant |> String.trim_trailing("0") |> or_zero(),
+     String.to_integer(exponent) + point}
   end
 
   defp or_zero(""), do: "0"
@@ -75,8 +77,8 @@ defmodule Situ.Bridge.Format.Csv.Number do
 
   defp place_point(digits, exponent) do
     padded = String.pad_trailing(digits, exponent, "0")
-    {whole, fraction} = String.split_at(padded, exponent)
-    if fraction == "", do: whole, else: whole <> "." <> fraction
+    {integer, fraction} = String.split_at(padded, exponent)
+    if fraction == "", do: integer, else: integer <> "." <> fraction
   end
 
   @doc """

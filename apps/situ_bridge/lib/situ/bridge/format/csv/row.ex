@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Format.Csv.Row do
   # One record of fields (RFC 4180): fields with commas, quotes or line breaks are quoted, and quotes are doubled.
   import Situ.BinarySize, only: [pinned_size: 1]
 
-  @most 16 * 1024 * 1024
+  @max_field 16 * 1024 * 1024
 
   @doc """
   Encodes fields as a record.
@@ -37,51 +37,53 @@ defmodule Situ.Bridge.Format.Csv.Row do
   def parse_row(bytes, _last?) when byte_size(bytes) == 0, do: :more
   def parse_row(bytes, last?), do: parse_field(bytes, last?, [])
 
-  defp parse_field(<<?", rest::binary>>, last?, done), do: parse_quoted(rest, last?, [], done)
+  defp parse_field(<<?", rest::binary>>, last?, fields), do: parse_quoted(rest, last?, [], fields)
 
-  defp parse_field(bytes, last?, done) do
+  defp parse_field(bytes, last?, fields) do
     case :binary.match(bytes, [",", "\n"]) do
       {at, 1} ->
-        <<text::binary-pinned_size(at), mark, rest::binary>> = bytes
-        after_field(mark, :binary.copy(text), rest, last?, done)
+        <<text::binary-pinned_size(at), separator, rest::binary>> = bytes
+        after_field(separator, :binary.copy(text), rest, last?, fields)
 
       :nomatch when last? ->
-        {:ok, Enum.reverse([String.trim_trailing(bytes, "\r") | done]), ""}
+        {:ok, Enum.reverse([String.trim_trailing(bytes, "\r") | fields]), ""}
 
       :nomatch ->
         need_more(bytes)
     end
   end
 
-  defp after_field(?,, text, rest, last?, done), do: parse_field(rest, last?, [text | done])
+  defp after_field(?,, text, rest, last?, fields), do: parse_field(rest, last?, [text | fields])
 
-  defp after_field(?\n, text, rest, _last?, done),
-    do: {:ok, Enum.reverse([String.trim_trailing(text, "\r") | done]), rest}
+  defp after_field(?\n, text, rest, _last?, fields),
+    do: {:ok, Enum.reverse([String.trim_trailing(text, "\r") | fields]), rest}
 
-  defp parse_quoted(bytes, last?, parts, done) do
+  defp parse_quoted(bytes, last?, parts, fields) do
     case :binary.match(bytes, "\"") do
       {at, 1} ->
         <<text::binary-pinned_size(at), ?", rest::binary>> = bytes
-        after_quote(rest, last?, [parts, text], done)
+        after_quote(rest, last?, [parts, text], fields)
 
       :nomatch ->
         need_more(bytes)
     end
   end
 
-  defp after_quote(<<?", rest::binary>>, last?, parts, done),
-    do: parse_quoted(rest, last?, [parts, ?"], done)
+  defp after_quote(<<?", rest::binary>>, last?, parts, fields),
+    do: parse_quoted(rest, last?, [parts, ?"], fields)
 
-  defp after_quote(<<?,, rest::binary>>, last?, parts, done),
-    do: parse_field(rest, last?, [join_parts(parts) | done])
+  defp after_quote(<<?,, rest::binary>>, last?, parts, fields),
+    do: parse_field(rest, last?, [join_parts(parts) | fields])
 
-  defp after_quote(<<"\r\n", rest::binary>>, _last?, parts, done),
-    do: {:ok, Enum.reverse([join_parts(parts) | done]), rest}
+  defp after_quote(<<"\r\n", rest::binary>>, _last?, parts, fields),
+    do: {:ok, Enum.reverse([join_parts(parts) | fields]), rest}
 
-  defp after_quote(<<"\n", rest::binary>>, _last?, parts, done),
-    do: {:ok, Enum.reverse([join_parts(parts) | done]), rest}
+  defp after_quote(<<"\n", rest::binary>>, _last?, parts, fields),
+    do: {:ok, Enum.reverse([join_parts(parts) | fields]), rest}
 
-  defp after_quote("", true, parts, done), do: {:ok, Enum.reverse([join_parts(parts) | done]), ""}
+  defp after_quote("", true, parts, fields),
+    do: {:ok, Enum.reverse([join_parts(parts) | fields]), ""}
+
   defp after_quote(rest, false, _parts, _done) when rest in ["", "\r"], do: :more
 
   defp after_quote(_rest, _last?, _parts, _done),
@@ -89,8 +91,8 @@ defmodule Situ.Bridge.Format.Csv.Row do
 
   defp join_parts(parts), do: IO.iodata_to_binary(parts)
 
-  defp need_more(bytes) when byte_size(bytes) > @most,
-    do: {:error, "a field is longer than #{@most} bytes"}
+  defp need_more(bytes) when byte_size(bytes) > @max_field,
+    do: {:error, "a field is longer than #{@max_field} bytes"}
 
   defp need_more(_bytes), do: :more
 end

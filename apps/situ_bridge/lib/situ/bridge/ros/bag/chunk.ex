@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Ros.Bag.Chunk do
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
 
-  @most 1_073_741_824
+  @max_bytes 1_073_741_824
 
   @spec read(:file.fd(), non_neg_integer(), non_neg_integer()) ::
           {:ok, binary()} | {:error, String.t()}
@@ -22,7 +22,9 @@ defmodule Situ.Bridge.Ros.Bag.Chunk do
   end
 
   defp unpack_chunk("none", data, _size), do: {:ok, data}
-  defp unpack_chunk("lz4", data, size) when size <= @most, do: Native.unpack("lz4", data, size)
+
+  defp unpack_chunk("lz4", data, size) when size <= @max_bytes,
+    do: Native.unpack("lz4", data, size)
 
   defp unpack_chunk(other, _data, _size),
     do:

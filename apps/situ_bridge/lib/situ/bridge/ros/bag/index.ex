@@ -5,11 +5,11 @@ defmodule Situ.Bridge.Ros.Bag.Index do
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
-  # connections: number => %{topic, type, md5, definition}; places: number => [{time, chunk position, offset}]
-  defstruct connections: %{}, places: %{}, damage: [], indexed?: true
+  # connections: number => %{topic, type, md5, definition}; positions: number => [{time, chunk position, offset}]
+  defstruct connections: %{}, positions: %{}, damage: [], indexed?: true
 
   @magic "#ROSBAG V2.0\n"
-  @most_header 64 * 1024 * 1024
+  @max_header 64 * 1024 * 1024
 
   @spec read(:file.fd(), non_neg_integer()) :: {:ok, %__MODULE__{}} | {:error, term()}
   def read(file, size) do
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Ros.Bag.Index do
 
   # Reads the header of the record at `at`. Returns its kind, its fields, and the position and size of its data.
   defp read_record(file, at, size) do
-    with {:ok, <<h::little-32>>} when h <= @most_header and at + 8 + h <= size <-
+    with {:ok, <<h::little-32>>} when h <= @max_header and at + 8 + h <= size <-
            :file.pread(file, at, 4),
          {:ok, <<header::binary-pinned_size(h), d::little-32>>} <-
            :file.pread(file, at + 4, h + 4),
@@ -92,10 +92,10 @@ defmodule Situ.Bridge.Ros.Bag.Index do
 
   defp read_index_records(_file, _size, _at, 0, _chunk, contents), do: {:ok, contents}
 
-  defp read_index_records(file, size, at, left, chunk, contents) do
+  defp read_index_records(file, size, at, count, chunk, contents) do
     with {:ok, :index, fields, data, n} when data + n <= size <- read_record(file, at, size),
          number when is_integer(number) <- Record.get_u32(fields, "conn") do
-      found =
+      rows =
         for <<time::binary-8, offset::little-32 <- read_bytes(file, data, n)>>,
           do: {Record.parse_time(time), chunk, offset}
 
@@ -103,9 +103,9 @@ defmodule Situ.Bridge.Ros.Bag.Index do
         file,
         size,
         data + n,
-        left - 1,
+        count - 1,
         chunk,
-        put_positions(contents, number, found)
+        put_positions(contents, number, rows)
       )
     else
       _ -> :error
@@ -119,19 +119,19 @@ defmodule Situ.Bridge.Ros.Bag.Index do
     end
   end
 
-  defp put_positions(contents, number, found),
-    do: %{contents | places: Map.update(contents.places, number, [found], &[found | &1])}
+  defp put_positions(contents, number, rows),
+    do: %{contents | positions: Map.update(contents.positions, number, [rows], &[rows | &1])}
 
   defp put_connection(contents, fields, data) do
     with number when is_integer(number) <- Record.get_u32(fields, "conn"),
-         {:ok, about} <- Record.parse_fields(data) do
+         {:ok, header_fields} <- Record.parse_fields(data) do
       connection = %{
-        topic: fields["topic"] || about["topic"] || "",
-        type: about["type"] || "",
-        md5: about["md5sum"],
-        definition: about["message_definition"] || "",
-        caller: about["callerid"],
-        latching: about["latching"] == "1"
+        topic: fields["topic"] || header_fields["topic"] || "",
+        type: header_fields["type"] || "",
+        md5: header_fields["md5sum"],
+        definition: header_fields["message_definition"] || "",
+        caller: header_fields["callerid"],
+        latching: header_fields["latching"] == "1"
       }
 
       %{contents | connections: Map.put_new(contents.connections, number, connection)}
@@ -209,8 +209,8 @@ defmodule Situ.Bridge.Ros.Bag.Index do
     end
   end
 
-  defp put_record(:connection, fields, data, _place, contents),
+  defp put_record(:connection, fields, data, _position, contents),
     do: put_connection(contents, fields, data)
 
-  defp put_record(_op, _fields, _data, _place, contents), do: contents
+  defp put_record(_op, _fields, _data, _position, contents), do: contents
 end

@@ -13,16 +13,16 @@ defmodule Situ.Bridge.Ros.Bag.Record do
   @spec parse_fields(binary()) :: {:ok, fields()} | :error
   def parse_fields(bytes), do: collect_fields(bytes, %{})
 
-  defp collect_fields("", found), do: {:ok, found}
+  defp collect_fields("", fields), do: {:ok, fields}
 
-  defp collect_fields(<<n::little-32, field::binary-size(n), rest::binary>>, found) do
+  defp collect_fields(<<n::little-32, field::binary-size(n), rest::binary>>, fields) do
     case :binary.split(field, "=") do
-      [name, value] -> collect_fields(rest, Map.put(found, name, value))
+      [name, value] -> collect_fields(rest, Map.put(fields, name, value))
       _ -> :error
     end
   end
 
-  defp collect_fields(_, _found), do: :error
+  defp collect_fields(_, _fields), do: :error
 
   @doc "Returns the kind of the record with these header fields, or nil if the kind is unknown."
   @spec record_kind(fields()) :: op() | nil

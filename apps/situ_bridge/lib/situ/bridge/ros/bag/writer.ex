@@ -11,13 +11,13 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
 
   @magic "#ROSBAG V2.0\n"
   # The first record is padded to this size, so that it can be overwritten at the end.
-  @first 4_096
+  @header_bytes 4_096
 
   @file_options [
     chunk: [type: :pos_integer, default: 786_432, doc: "Size of a chunk in bytes."],
     compression: [type: {:in, [:none, :lz4]}, default: :none, doc: "Compression of the chunks."]
   ]
-  @topic [
+  @topic_options [
     type: [
       type: {:optional, :string},
       default: nil,
@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   @impl true
   def file_options, do: @file_options
   @impl true
-  def topic_options, do: @topic
+  def topic_options, do: @topic_options
 
   @impl true
   def create(path, opts) do
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     ]
 
     header = IO.iodata_length(Record.encode_fields([{"op", <<3>>} | fields]))
-    Record.encode_record(:bag, fields, :binary.copy(" ", @first - 8 - header))
+    Record.encode_record(:bag, fields, :binary.copy(" ", @header_bytes - 8 - header))
   end
 
   defp append_bytes(writer, bytes) do
@@ -154,7 +154,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
         {:ok, writer, channel}
 
       channels ->
-        with {:ok, opts} <- Situ.Options.validate(opts, @topic),
+        with {:ok, opts} <- Situ.Options.validate(opts, @topic_options),
              {:ok, channel} <- Channel.new(topic, [encoding: :ros1] ++ opts, data) do
           channel = %{channel | id: map_size(channels)}
 
@@ -170,7 +170,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   end
 
   defp connection_record(%{schema: {type, _, text}} = channel) do
-    about = [
+    header_fields = [
       {"topic", channel.topic},
       {"type", type},
       {"md5sum", Definition.md5(channel.definition)},
@@ -180,7 +180,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     Record.encode_record(
       :connection,
       [{"conn", <<channel.id::little-32>>}, {"topic", channel.topic}],
-      Record.encode_fields(about)
+      Record.encode_fields(header_fields)
     )
   end
 
@@ -202,9 +202,9 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       )
 
     indexes =
-      for {id, found} <- Enum.sort(writer.index) do
+      for {id, entries} <- Enum.sort(writer.index) do
         rows =
-          for {time, offset} <- Enum.reverse(found),
+          for {time, offset} <- Enum.reverse(entries),
               do: [Record.encode_time(time), <<offset::little-32>>]
 
         Record.encode_record(
@@ -212,14 +212,14 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
           [
             {"ver", <<1::little-32>>},
             {"conn", <<id::little-32>>},
-            {"count", <<length(found)::little-32>>}
+            {"count", <<length(entries)::little-32>>}
           ],
           rows
         )
       end
 
     with {:ok, writer} <- append_bytes(writer, [chunk, indexes]) do
-      counts = for {id, found} <- Enum.sort(writer.index), do: {id, length(found)}
+      counts = for {id, entries} <- Enum.sort(writer.index), do: {id, length(entries)}
       info = {position, writer.span || {0, 0}, counts}
       {:ok, %{writer | pending: [], size: 0, index: %{}, span: nil, infos: [info | writer.infos]}}
     end

@@ -24,13 +24,14 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
       ]
 
       case System.cmd(sqlite, args ++ [Path.expand(path), sql], stderr_to_stdout: true) do
-        {out, 0} ->
-          {:ok, for(row <- String.split(out, "\x1e", trim: true), do: String.split(row, "\x1f"))}
+        {output, 0} ->
+          {:ok,
+           for(row <- String.split(output, "\x1e", trim: true), do: String.split(row, "\x1f"))}
 
-        {out, _} ->
+        {output, _} ->
           {:error,
            Error.new(:not_bag, "#{path} cannot be read as a bag of ROS 2",
-             why: shorten_output(out)
+             why: shorten_output(output)
            )}
       end
     end
@@ -61,9 +62,9 @@ defmodule Situ.Bridge.Ros.Db3.Sqlite do
     end
   end
 
-  defp shorten_output(out) do
-    if String.valid?(out),
-      do: out |> String.trim() |> String.slice(0, 200),
+  defp shorten_output(output) do
+    if String.valid?(output),
+      do: output |> String.trim() |> String.slice(0, 200),
       else: "sqlite3 cannot read the file"
   end
 end
