@@ -52,7 +52,7 @@ defmodule Situ.Studio.StreamReader do
   end
 
   @doc "Returns at most `limit` messages between two times, in order, and `:more` if there are more."
-  @spec read_messages(Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec read_messages(Recording.t(), Store.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, [Message.t()], :all | :more} | {:error, Error.t()}
   def read_messages(recording, name, from, to, limit) do
     with {:ok, messages} <- Store.read(recording, name, from: from, to: to, limit: limit + 1) do
@@ -63,7 +63,7 @@ defmodule Situ.Studio.StreamReader do
   end
 
   @doc "Returns times and latencies of at most `limit` messages; if there are more, evenly thinned and with `:more`."
-  @spec read_marks(Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec read_marks(Recording.t(), Store.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, [{Situ.Time.t(), Situ.Time.duration()}], :all | :more} | {:error, Error.t()}
   def read_marks(recording, name, from, to, limit) do
     with {:ok, info} <- Store.stream_info(recording, name),
@@ -86,7 +86,7 @@ defmodule Situ.Studio.StreamReader do
   Returns about `n` or fewer messages between two times, evenly spaced by number, each with its position in the stream
   (adjacent messages differ by one).
   """
-  @spec sample_messages(Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec sample_messages(Recording.t(), Store.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, [{integer(), Message.t()}]} | {:error, Error.t()}
   def sample_messages(recording, name, from, to, n) do
     with {:ok, info} <- Store.stream_info(recording, name),
@@ -125,12 +125,12 @@ defmodule Situ.Studio.StreamReader do
   end
 
   @doc "Returns the last message at or before a time."
-  @spec latest_at(Recording.t(), String.t(), Situ.Time.t()) ::
+  @spec latest_at(Recording.t(), Store.name(), Situ.Time.t()) ::
           {:ok, Message.t()} | :none | {:error, Error.t()}
   def latest_at(recording, name, time), do: nil_to_none(Store.latest_at(recording, name, time))
 
   @doc "Returns the first message after a time."
-  @spec next_after(Recording.t(), String.t(), Situ.Time.t()) ::
+  @spec next_after(Recording.t(), Store.name(), Situ.Time.t()) ::
           {:ok, Message.t()} | :none | {:error, Error.t()}
   def next_after(recording, name, time),
     do: nil_to_none(Store.first_at(recording, name, time + 1))
@@ -195,7 +195,7 @@ defmodule Situ.Studio.StreamReader do
   end
 
   @doc "Returns the message whose originating time is nearest to `time`."
-  @spec fetch_nearest(Recording.t(), String.t(), Situ.Time.t()) ::
+  @spec fetch_nearest(Recording.t(), Store.name(), Situ.Time.t()) ::
           {:ok, Message.t()} | :none | {:error, Error.t()}
   def fetch_nearest(recording, name, time) do
     case {latest_at(recording, name, time), next_after(recording, name, time)} do

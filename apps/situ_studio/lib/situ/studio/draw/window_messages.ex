@@ -68,7 +68,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   """
   @spec surrounding_messages(
           Situ.Recording.t(),
-          String.t(),
+          Situ.Store.name(),
           {Situ.Time.t(), Situ.Time.t()},
           non_neg_integer()
         ) ::
