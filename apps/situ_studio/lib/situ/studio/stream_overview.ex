@@ -131,7 +131,7 @@ defmodule Situ.Studio.StreamOverview do
   end
 
   defp read_or_sample_points(recording, info, {from, to}, n) do
-    if n <= @folded or is_map_key(info.extra, :kept) do
+    if n <= @folded or is_map_key(info.extra, :stored) do
       with {:ok, points, true} <- read_points(recording, info, from, to, n), do: {:ok, points}
     else
       with {:ok, messages, _all?} <-

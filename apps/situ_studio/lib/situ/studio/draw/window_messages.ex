@@ -15,9 +15,11 @@ defmodule Situ.Studio.Draw.WindowMessages do
 
   @typedoc "A message and its position in the stream; the positions of adjacent messages differ by one."
   @type numbered :: {integer(), Situ.Message.t()}
+  @typedoc "A `t:Situ.Studio.Visualizer.spec/0`, or a map with only the stream, by name or as its information."
+  @type drawn :: %{:stream => Situ.Store.name(), optional(atom()) => term()}
 
   @doc "Fetches the messages within a window and one or more on both sides; `false` if they are a sample."
-  @spec fetch_around(Situ.Recording.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_around(Situ.Recording.t(), drawn(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def fetch_around(source, spec, from, to) do
     with {:ok, numbered, all?} <- fetch_numbered(source, spec, from, to),
@@ -25,7 +27,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   end
 
   @doc "Fetches the same messages with their positions."
-  @spec fetch_numbered(Situ.Recording.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_numbered(Situ.Recording.t(), drawn(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [numbered()], all? :: boolean()} | {:error, Situ.Error.t()}
   def fetch_numbered(source, %{stream: stream}, from, to) do
     with {:ok, rows, all?} <- read_window(source, stream, from, to) do

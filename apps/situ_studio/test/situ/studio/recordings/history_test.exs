@@ -4,7 +4,7 @@ defmodule Situ.Studio.Recordings.HistoryTest do
   use Situ.Test.Property
 
   alias Situ.{Message, Store}
-  alias Situ.Studio.{Gap, History, Recordings, StreamReader}
+  alias Situ.Studio.{Gap, History, Recordings, StreamOverview, StreamReader}
 
   doctest Recordings.History
 
@@ -32,6 +32,16 @@ defmodule Situ.Studio.Recordings.HistoryTest do
       neighbours = StreamReader.list_neighbours(recording, "S", :before, time, n)
       assert found.(neighbours) == before |> Enum.reverse() |> Enum.take(n)
     end
+  end
+
+  test "the signal of many messages in memory contains every extreme value" do
+    history = History.new(live: false)
+    spikes = [77_777, 123_457, 200_001]
+    for i <- 0..200_100, do: put(history, i * 1_000, if(i in spikes, do: i, else: 0))
+
+    recording = Recordings.History.wrap(history)
+    {:ok, points, false} = StreamOverview.read_series(recording, "S", 0, 200_100_000, 2_000_000)
+    assert for({_, _, high, _, _} <- points, high > 0, do: high) == spikes
   end
 
   test "dropped messages are not read, and numbers go on" do
