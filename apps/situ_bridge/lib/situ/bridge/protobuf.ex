@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Protobuf do
   # The wire format has four kinds of fields. Reader, writer, descriptors and the parser of
   # `.proto` texts take about 800 lines without dependencies. The crate `prost-reflect` would
   # still require a conversion of every field to a term. The descriptors made from `priv/foxglove`
-  # equal those of the Foxglove package for all 48 messages.
+  # are the same as in the Foxglove package for all 48 messages.
   alias Situ.Bridge.Foxglove.Messages
   alias Situ.Bridge.Protobuf.{Descriptor, Reader, Schema, ProtoParser, Writer}
   alias Situ.Error
