@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.Synthesizer do
   @moduledoc """
-  The behaviour of synthesizers, which convert text to audio for `Situ.Infer.SpeechSynthesizer` using a program, model or
-  service.
+  The behaviour of synthesizers, which convert text to audio for `Situ.Infer.SpeechSynthesizer` using a program, model
+  or service.
 
   | built in | voice | runs | reports word times |
   |---|---|---|---|
