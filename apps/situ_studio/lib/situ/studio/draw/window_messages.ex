@@ -3,7 +3,7 @@ defmodule Situ.Studio.Draw.WindowMessages do
   # Reads the messages that a visualizer draws over time: the messages of a window, the one in
   # force at its start, and the next one, which ends the last state. If a window has too many
   # messages to read, it is sampled evenly by message number.
-  alias Situ.Studio.{Visualizer, StreamReader}
+  alias Situ.Studio.StreamReader
 
   # A rate cannot be determined from so few messages, because there may be gaps between them. Then this many are read on
   # both sides.
