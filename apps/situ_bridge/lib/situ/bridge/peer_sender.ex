@@ -11,9 +11,9 @@ defmodule Situ.Bridge.PeerSender do
   @type server :: term()
 
   @doc "Returns the number of peers that are ready to receive messages."
-  @callback ready(server()) :: non_neg_integer()
+  @callback count_ready(server()) :: non_neg_integer()
   @doc "Returns the number of messages dropped for slow peers."
-  @callback dropped(server()) :: non_neg_integer()
+  @callback count_dropped(server()) :: non_neg_integer()
   @doc "Sends a message to the peers it is for; returns `:full` if the stream must wait."
   @callback put(server(), payload :: term()) :: :ok | :full
   @doc """
@@ -123,7 +123,7 @@ defmodule Situ.Bridge.PeerSender do
   defp extend_deadline(sender), do: %{sender | deadline: monotonic_ms() + sender.opts[:linger]}
 
   defp send_payloads(%{waiting?: true} = sender) do
-    if sender.module.ready(sender.server) >= sender.opts[:wait_for],
+    if sender.module.count_ready(sender.server) >= sender.opts[:wait_for],
       do: send_payloads(%{sender | waiting?: false}),
       else: hold_or_give_up(sender)
   end
@@ -207,5 +207,5 @@ defmodule Situ.Bridge.PeerSender do
   def describe_peers(%{server: nil}), do: "closed"
 
   def describe_peers(%{module: module, server: server}),
-    do: "#{module.ready(server)} peers, #{module.dropped(server)} messages dropped"
+    do: "#{module.count_ready(server)} peers, #{module.count_dropped(server)} messages dropped"
 end

@@ -54,16 +54,16 @@ defmodule Situ.Bridge.TcpTest do
         |> Situ.each(&send(me, {:got, &1}))
       end)
 
-    assert eventually(fn -> Server.ready(first) == 1 end)
+    assert eventually(fn -> Server.count_ready(first) == 1 end)
     Server.put(first, "before")
     assert_receive {:got, "before"}
     Server.close(first, 100)
     {:ok, second} = open(port, 10)
-    assert eventually(fn -> Server.ready(second) == 1 end)
+    assert eventually(fn -> Server.count_ready(second) == 1 end)
     # The frame exceeds the client's limit, so the client disconnects and reconnects.
     Server.put(second, "longer than ten bytes")
-    assert eventually(fn -> Server.ready(second) == 0 end)
-    assert eventually(fn -> Server.ready(second) == 1 end)
+    assert eventually(fn -> Server.count_ready(second) == 0 end)
+    assert eventually(fn -> Server.count_ready(second) == 1 end)
     Server.put(second, "after")
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(client)
@@ -76,12 +76,12 @@ defmodule Situ.Bridge.TcpTest do
     {:ok, tcp} =
       :gen_tcp.connect('127.0.0.1', Server.port(server), [:binary, active: false, recbuf: 1_024])
 
-    assert eventually(fn -> Server.ready(server) == 1 end)
+    assert eventually(fn -> Server.count_ready(server) == 1 end)
     payload = :binary.copy("x", 1_000_000)
     for _ <- 1..100, do: Server.put(server, payload)
-    assert Server.dropped(server) > 0
+    assert Server.count_dropped(server) > 0
     :gen_tcp.close(tcp)
-    assert eventually(fn -> Server.ready(server) == 0 end)
+    assert eventually(fn -> Server.count_ready(server) == 0 end)
     Server.close(server, 100)
   end
 

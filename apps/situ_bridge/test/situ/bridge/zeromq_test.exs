@@ -61,7 +61,7 @@ defmodule Situ.Bridge.ZeroMQTest do
         |> Situ.each(&send(me, {:all, &1}))
       end)
 
-    assert eventually(fn -> Socket.ready(socket) == 2 end)
+    assert eventually(fn -> Socket.count_ready(socket) == 2 end)
     for topic <- ["a", "ab", "b", "a"], do: Socket.put(socket, [topic, topic])
     for topic <- ["a", "ab", "a"], do: assert_receive({:all, ^topic})
     for _ <- 1..2, do: assert_receive({:got, "a"})
@@ -82,12 +82,12 @@ defmodule Situ.Bridge.ZeroMQTest do
     {:ok, receiver} =
       Situ.Pipeline.start_link(fn p -> collect(p, me, at, topic: "", format: :raw) end)
 
-    assert eventually(fn -> Socket.ready(first) == 1 end)
+    assert eventually(fn -> Socket.count_ready(first) == 1 end)
     Socket.put(first, ["", "before"])
     assert_receive {:got, "before"}
     Socket.close(first, 100)
     {:ok, second} = Socket.open(:pub, at, bind: true, high_water_mark: 10, most: 1_000)
-    assert eventually(fn -> Socket.ready(second) == 1 end)
+    assert eventually(fn -> Socket.count_ready(second) == 1 end)
     Socket.put(second, ["", "after"])
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(receiver)
@@ -141,7 +141,7 @@ defmodule Situ.Bridge.ZeroMQTest do
       assert eventually(fn -> map_size(:sys.get_state(socket).peers) == 0 end)
     end)
 
-    assert Socket.ready(socket) == 0
+    assert Socket.count_ready(socket) == 0
     Socket.close(socket, 100)
   end
 

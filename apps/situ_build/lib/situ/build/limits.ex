@@ -9,12 +9,12 @@ defmodule Situ.Build.Limits do
   alias Situ.Build.{English, Names}
 
   @limits %{
-    one_word_private: 3.5,
-    one_word_public: 32.4,
+    one_word_private: 3.4,
+    one_word_public: 32.0,
     participles: 0,
     paths: 0,
     repeated_words: 0,
-    english: 0.8
+    english: 0.7
   }
   @least_mean_letters 11.3
 

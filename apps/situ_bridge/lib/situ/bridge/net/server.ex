@@ -45,10 +45,10 @@ defmodule Situ.Bridge.Net.Server do
   def port(server), do: GenServer.call(server, :port)
 
   @impl PeerSender
-  def ready(server), do: GenServer.call(server, :ready)
+  def count_ready(server), do: GenServer.call(server, :ready)
 
   @impl PeerSender
-  def dropped(server), do: GenServer.call(server, :dropped)
+  def count_dropped(server), do: GenServer.call(server, :dropped)
 
   @impl PeerSender
   def put(server, payload), do: GenServer.call(server, {:put, payload}, :infinity)

@@ -31,9 +31,9 @@ defmodule Situ.Bridge.Ros2.Session do
   end
 
   @impl PeerSender
-  def ready(session), do: GenServer.call(session, :ready)
+  def count_ready(session), do: GenServer.call(session, :ready)
   @impl PeerSender
-  def dropped(session), do: GenServer.call(session, :dropped)
+  def count_dropped(session), do: GenServer.call(session, :dropped)
   @impl PeerSender
   def put(session, {time, payload}), do: GenServer.call(session, {:put, time, payload}, :infinity)
   @impl PeerSender

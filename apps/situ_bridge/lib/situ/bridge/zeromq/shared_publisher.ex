@@ -31,9 +31,9 @@ defmodule Situ.Bridge.ZeroMQ.SharedPublisher do
   def open_stream(%__MODULE__{server: server}), do: GenServer.call(server, :open, :infinity)
 
   @impl PeerSender
-  def ready({_server, socket}), do: Socket.ready(socket)
+  def count_ready({_server, socket}), do: Socket.count_ready(socket)
   @impl PeerSender
-  def dropped({_server, socket}), do: Socket.dropped(socket)
+  def count_dropped({_server, socket}), do: Socket.count_dropped(socket)
   @impl PeerSender
   def put({_server, socket}, frames), do: Socket.put(socket, frames)
 

@@ -77,10 +77,10 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
 
   @doc "Returns the number of subscribers (of a publisher) or peers."
   @impl PeerSender
-  def ready(socket), do: GenServer.call(socket, :ready)
+  def count_ready(socket), do: GenServer.call(socket, :ready)
 
   @impl PeerSender
-  def dropped(socket), do: GenServer.call(socket, :dropped)
+  def count_dropped(socket), do: GenServer.call(socket, :dropped)
 
   @doc "Records that the owner has taken `n` messages."
   def subtract_read(socket_state, n), do: :atomics.sub(socket_state, 1, n)
