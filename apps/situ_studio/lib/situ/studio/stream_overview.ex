@@ -115,11 +115,15 @@ defmodule Situ.Studio.StreamOverview do
     end
   end
 
-  # Without a stored summary, the messages are folded, or a sample of computed messages if there are too many.
+  # Without a stored summary, the messages are folded, or a sample of computed messages if there are too many. Bins are
+  # aligned in the time of the stream's own recording, so that the signal of a shifted recording does not change.
   defp read_summary_points(recording, %{extra: %{summary: :none}} = info, {from, to}, bin, n) do
+    offset = Map.get(info.extra, :offset, 0)
+
     with {:ok, points} <- read_or_sample_points(recording, info, {from, to}, n) do
-      {points, raw?} = Bins.fold_points(points, bin, max(div(to - from, bin), 2) + 32)
-      {:ok, points, raw?}
+      most = max(div(to - from, bin), 2) + 32
+      {points, raw?} = points |> shift_points(-offset) |> Bins.fold_points(bin, most)
+      {:ok, shift_points(points, offset), raw?}
     end
   end
 
@@ -129,6 +133,9 @@ defmodule Situ.Studio.StreamOverview do
     with {:ok, _width, rows} <- Store.summary(recording, info, from, to, bins),
          do: {:ok, rows, false}
   end
+
+  defp shift_points(points, 0), do: points
+  defp shift_points(points, ns), do: for(p <- points, do: put_elem(p, 0, elem(p, 0) + ns))
 
   defp read_or_sample_points(recording, info, {from, to}, n) do
     if n <= @folded or is_map_key(info.extra, :stored) do

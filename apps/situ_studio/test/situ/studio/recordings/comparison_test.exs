@@ -75,6 +75,16 @@ defmodule Situ.Studio.Recordings.ComparisonTest do
     assert :none = StreamReader.latest_at(beside, "Compared.None", 5)
   end
 
+  test "shifts a drawn signal without changing its bins" do
+    alone = source(%{"S" => for(i <- 0..999, do: {i * 10, :math.sin(i / 50)})})
+    {:ok, points, raw?} = StreamOverview.read_series(alone, "S", 0, 9_990, 64)
+
+    both = Comparison.combine_recordings(source(%{"T" => [{0, 1}]}), alone, 2_500)
+
+    assert StreamOverview.read_series(both, "Compared.S", 2_500, 12_490, 64) ==
+             {:ok, for(point <- points, do: put_elem(point, 0, elem(point, 0) + 2_500)), raw?}
+  end
+
   test "hides a stream of the first source with a name of the second" do
     beside =
       Comparison.combine_recordings(
