@@ -25,8 +25,7 @@ defmodule Situ.MapAsync do
       when is_function(fun, 1) or is_function(fun, 2) do
     {own, placement} = Placement.split_options!(opts, @schema, :operator)
     own = Keyword.put_new(own, :max, System.schedulers_online())
-    own = [fun: fun, on_error: placement[:on_error] || :stop] ++ own
-    options = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
+    options = [fun: fun, errors: placement[:on_error] || :stop] ++ own
     Operator.attach_component(stream, "MapAsync", {Situ.MapAsync.Component, options}, placement)
   end
 

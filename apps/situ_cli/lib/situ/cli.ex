@@ -13,7 +13,7 @@ defmodule Situ.CLI do
   # Verbs are tables (`Situ.CLI.Verb`), which `situ completion` and `situ manual` use as well.
   alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
 
-  # Plug-ins add file readers and tasks to these commands.
+  # Plug-ins add file formats and tasks to these commands.
   @extended ~w(store dataset task query annotate)
 
   @doc "Runs the command line that the VM was started with, then stops the VM with the exit status."

@@ -361,7 +361,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  defp demotion_level(runner), do: Map.get(runner_info(runner), :away, 0)
+  defp demotion_level(runner), do: Map.get(runner_info(runner), :demotion, 0)
 
   defp await_takeover(deployment, part, to, deadline) do
     case status(deployment).parts do

@@ -30,8 +30,9 @@ defmodule Situ.Recording do
   @type error :: {:error, Situ.Error.t()}
 
   @doc """
-  Returns `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and
-  `why`). A recording of a running clock returns its time as `now`.
+  Returns `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, of maps with `offset` and
+  `why`, or of `{file, position, why}`; `describe_damage/1` formats each). A recording of a running clock returns its
+  time as `now`.
   """
   @callback info(state()) :: map()
   @doc "Returns the current streams."
@@ -42,7 +43,8 @@ defmodule Situ.Recording do
   @doc """
   Reads about `limit` messages at or before `to`, starting at `ordinal`, and returns them with the next ordinal. An
   empty list means that there are no more messages yet. `exact: true` requests at most `limit` messages. With
-  `envelopes: true`, the caller ignores the data, and a module that would have to decode it may leave it `nil`.
+  `envelopes: true`, the caller ignores the data, and a module that would have to decode it may leave it `nil`. `total:`
+  is the number of messages that the caller wants in all, if it knows.
   """
   @callback read(
               state(),
@@ -123,6 +125,20 @@ defmodule Situ.Recording do
                       missing_files: 1,
                       request_streams: 2,
                       notify: 4
+
+  @doc """
+  Describes an entry of the `damage` of `Situ.Store.info/1`.
+
+      iex> Situ.Recording.describe_damage({"walk.csv", 3, "line 3: the time is missing"})
+      "walk.csv: line 3: the time is missing"
+      iex> Situ.Recording.describe_damage(%{offset: 64, why: "a chunk is cut short"})
+      "at byte 64: a chunk is cut short"
+  """
+  @spec describe_damage(String.t() | map() | {String.t(), non_neg_integer(), String.t()}) ::
+          String.t()
+  def describe_damage(sentence) when is_binary(sentence), do: sentence
+  def describe_damage({file, _position, why}), do: "#{Path.basename(file)}: #{why}"
+  def describe_damage(%{offset: offset, why: why}), do: "at byte #{offset}: #{why}"
 
   @doc "Returns whether the recording's module implements an optional callback."
   @spec implements?(t(), atom(), arity()) :: boolean()

@@ -240,7 +240,7 @@ defmodule Situ.Store do
           {:ok, non_neg_integer()} | {:error, Error.t()}
   defdelegate count(store, name, from, to), to: Query
 
-  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
+  @doc "Returns the ordinal of the first message at or after `time`, or the next new ordinal if there is none."
   @spec ordinal(t(), name(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   defdelegate ordinal(store, name, time), to: Query
 

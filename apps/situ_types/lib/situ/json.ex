@@ -23,9 +23,6 @@ defmodule Situ.JSON do
       iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
       ...> |> Situ.JSON.decode()
       {:ok, %{"name" => "Mic.Level", "rate" => 100.0, "type" => nil}}
-
-      iex> Situ.JSON.decode(~s({"open": ))
-      {:error, :bad_json}
   """
   @spec encode(value()) :: String.t()
   def encode(value), do: value |> to_iodata([]) |> IO.iodata_to_binary()

@@ -121,10 +121,6 @@ defmodule Situ.Pipeline.Server do
   defp handle_request({:trace, time}, _from, state),
     do: {:reply, Inspection.trace_message(state, time), state}
 
-  # Returns the first error so far, for components that report to others why their stream ends.
-  defp handle_request(:failure, _from, state),
-    do: {:reply, {:ok, List.last(state.life.errors)}, state}
-
   defp handle_request(:progress, _from, state) do
     state = Inspection.advance_progress(state)
     {:reply, state.view.progress, state}

@@ -24,7 +24,7 @@ defmodule Situ.Bridge.PayloadDecoder do
     type: [type: :any, default: :any, doc: "The type of the stream."]
   ]
 
-  defstruct [:format, :times, :opts, :last, :last_error, emitted: 0, unreadable: 0, late: 0]
+  defstruct [:format, :times, :opts, :last, emitted: 0, unreadable: 0, late: 0]
   @type t :: %__MODULE__{}
 
   @doc "Returns the options that all network sources have."
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.PayloadDecoder do
   def new(opts),
     do: %__MODULE__{format: opts[:format], times: opts[:times], opts: [objects: opts[:objects]]}
 
-  @doc "Decodes payloads into messages `{:out, time, value}`; the decoder keeps the error of the last dropped payload."
+  @doc "Decodes payloads into messages `{:out, time, value}`. The decoder counts the payloads that it drops."
   @spec take_payloads(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
   def take_payloads(decoder, payloads, now),
     do: take_decoded(decoder, Enum.map(payloads, &decode_payload(decoder, &1, now)))
@@ -50,8 +50,8 @@ defmodule Situ.Bridge.PayloadDecoder do
   defp take_message({:ok, {time, sender_time?, value}}, {actions, decoder}),
     do: accept_message(time, sender_time?, value, actions, decoder)
 
-  defp take_message({:error, error}, {actions, decoder}),
-    do: {actions, %{decoder | unreadable: decoder.unreadable + 1, last_error: error}}
+  defp take_message({:error, _error}, {actions, decoder}),
+    do: {actions, %{decoder | unreadable: decoder.unreadable + 1}}
 
   defp decode_payload(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
 

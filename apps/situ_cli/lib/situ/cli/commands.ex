@@ -43,7 +43,7 @@ defmodule Situ.CLI.Commands do
     "store" => "inspect, check, repair, cut, copy and edit recordings",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
     "task" => "list and run batch tasks over the sessions of a dataset",
-    "plugin" => "create, list and test plug-ins: visualizers, adapters, readers, tasks",
+    "plugin" => "create, list and test plug-ins: visualizers, adapters, file formats, tasks",
     "cluster" => "run pipelines on several nodes: create, join, inspect, deploy, move",
     "annotate" => "exchange annotations with other programs, compare annotators"
   }

@@ -136,10 +136,10 @@ defmodule Situ.CLI.Dataset do
     ]
   end
 
-  @doc "Opens a dataset, or any recordings that can be treated as one, after starting the readers of all formats."
+  @doc "Opens a dataset, or any recordings that can be treated as one, after starting the applications of all formats."
   @spec open_dataset!(Path.t()) :: Dataset.t()
   def open_dataset!(path) do
-    Recording.prepare_readers([path])
+    Recording.load_formats([path])
     for app <- [:situ_media, :situ_bridge], do: {:ok, _} = Application.ensure_all_started(app)
     unwrap!(Dataset.open(path))
   end
@@ -211,7 +211,7 @@ defmodule Situ.CLI.Dataset do
 
   # A path that cannot be opened now is most likely a typing error.
   defp open_partition!(name, path) do
-    Recording.prepare_readers([path])
+    Recording.load_formats([path])
     partition = Partition.new(name, path)
     _ = unwrap!(Partition.open(partition))
     partition

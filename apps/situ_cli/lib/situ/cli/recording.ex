@@ -5,22 +5,22 @@ defmodule Situ.CLI.Recording do
   alias Situ.Store
   alias Situ.Recording.Formats
 
-  @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_link]
+  @format_apps [:situ_media, :situ_bridge, :situ_dataset, :situ_link]
 
   @doc "Opens a recording or raises an error."
   @spec open!(Path.t()) :: Store.t()
   def open!(path) do
-    prepare_readers([path])
+    load_formats([path])
     Store.open!(path)
   end
 
-  @doc "Loads the readers of all file formats, and starts them if a path is a file or an address."
-  @spec prepare_readers([Path.t()]) :: :ok
-  def prepare_readers(paths) do
-    for app <- @readers, do: Application.load(app)
+  @doc "Loads the applications of all file formats, and starts them if a path is a file or an address."
+  @spec load_formats([Path.t()]) :: :ok
+  def load_formats(paths) do
+    for app <- @format_apps, do: Application.load(app)
 
     if Enum.any?(paths, &(File.regular?(&1) or Formats.for_address(&1) != nil)),
-      do: for(app <- @readers, do: {:ok, _} = Application.ensure_all_started(app))
+      do: for(app <- @format_apps, do: {:ok, _} = Application.ensure_all_started(app))
 
     :ok
   end

@@ -9,7 +9,7 @@ defmodule Situ.Cluster.Backoff do
 
   defstruct count: 0, lost_at: nil, share: 1.0
 
-  @typedoc "`count` losses, the last one `at` (ms); `share` spreads the nodes that lost a part at the same time."
+  @typedoc "`count` losses, the last at `lost_at` (ms); `share` spreads the nodes that lost a part at the same time."
   @type t :: %__MODULE__{count: non_neg_integer(), lost_at: integer() | nil, share: float()}
 
   @doc "Counts a loss at `now` (ms); a lease lasts `lease` ms."

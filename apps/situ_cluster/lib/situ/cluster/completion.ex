@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Completion do
   alias Situ.Error
   alias Situ.Cluster.Log
 
-  @doc "Waits until all `parts` have ended, a part has failed, or `till` (monotonic ms) has passed."
+  @doc "Waits until all `parts` have ended, a part has failed, or `deadline` (monotonic ms) has passed."
   @spec await_parts(Log.t(), Deployment.t(), [String.t()], integer() | :infinity) ::
           :ok | {:error, Error.t()}
   def await_parts(log, deployment, parts, deadline) do

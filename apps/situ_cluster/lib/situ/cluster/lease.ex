@@ -122,8 +122,8 @@ defmodule Situ.Cluster.Lease do
 
   When the lease is lost, or the log has not replied for three quarters of its duration, kills `publisher` immediately
   and ends this process with `{:shutdown, :lease_lost}`. A node that is cut off therefore stops before its lease ends.
-  On the message `{:release, from}`, releases the lease and sends `:released`. Calls `tell` with each number that it
-  has written, and with `:free` when it releases the lease.
+  On the message `{:release, from}`, releases the lease and sends `:released`. Calls `on_change` with each number that
+  it has written, and with `:free` when it releases the lease.
   """
   @spec keep_renewing(
           Log.t(),

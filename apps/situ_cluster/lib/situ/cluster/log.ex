@@ -48,7 +48,7 @@ defmodule Situ.Cluster.Log do
   @doc "Returns the last entry, or `nil`."
   @callback last(conn :: term(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
 
-  @doc "Returns up to `most` entries, beginning with the first one whose number is at least `from`."
+  @doc "Returns up to `max` entries, beginning with the first one whose number is at least `from`."
   @callback read(conn :: term(), subject(), from :: pos_integer(), max :: pos_integer()) ::
               {:ok, [Entry.t()]} | {:error, Error.t()}
 
@@ -125,7 +125,7 @@ defmodule Situ.Cluster.Log do
   def fetch_last(%__MODULE__{adapter: adapter, conn: conn}, subject),
     do: adapter.last(conn, subject)
 
-  @doc "Returns up to `most` entries, starting at number `from`."
+  @doc "Returns up to `max` entries, starting at number `from`."
   @spec read(t(), subject(), pos_integer(), pos_integer()) ::
           {:ok, [Entry.t()]} | {:error, Error.t()}
   def read(%__MODULE__{adapter: adapter, conn: conn}, subject, from, max \\ 1),
@@ -171,7 +171,7 @@ defmodule Situ.Cluster.Log do
   def close(%__MODULE__{adapter: adapter, conn: conn}), do: adapter.close(conn)
 
   @doc """
-  Finds the first entry for which `enough?` returns true, by bisection: once true, it must stay true for later entries.
+  Finds the first entry for which `reached?` returns true, by bisection: once true, it must stay true for later entries.
   Returns the sequence number of that entry, or `nil` if there is none.
   """
   @spec find_position(t(), subject(), (Entry.t() -> boolean())) ::

@@ -29,7 +29,7 @@ defmodule Situ.Cluster.LogLines do
     :logger.add_handler(__MODULE__, __MODULE__, %{level: :info, filters: filters})
   end
 
-  @doc "Returns the newest lines (at most `most`) after line number `from`, oldest first."
+  @doc "Returns the newest lines (at most `max`) after line number `from`, oldest first."
   @spec read(non_neg_integer(), pos_integer()) :: [line()]
   def read(from \\ 0, max \\ @max_lines) do
     rows =

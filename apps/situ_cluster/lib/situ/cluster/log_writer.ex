@@ -39,7 +39,7 @@ defmodule Situ.Cluster.LogWriter do
     do: GenServer.cast(writer, {:append, name, batches, mark})
 
   @doc """
-  Stores a checkpoint with `cut`, the outputs that precede the checkpoint and are not in the log yet. Then appends
+  Stores a checkpoint with `outputs`, which precede the checkpoint and are not in the log yet. Then appends
   these outputs and replies to `from`.
   """
   @spec commit_checkpoint(

@@ -5,10 +5,10 @@ defmodule Situ.Cluster.OutgoingStream do
   #   mark         position after the last message received
   #   stored_mark  position after the last message in the log
   #   handed_mark  position after the last message passed to the log writer
-  #   pending   batches that are not being written yet, newest first
-  #   tail      the last batches that readers may see, newest first
-  #   policies  the policy of each part that reads it; for a `direct` stream the log contains no messages, only the
-  #             positions of takeovers and of the end
+  #   pending      batches that are not being written yet, newest first
+  #   tail         the last batches that readers may see, newest first
+  #   policies     the policy of each part that reads it; for a `direct` stream the log contains no messages, only the
+  #                positions of takeovers and of the end
   # Both the number and the size of the stored batches are limited, since a few images can be large.
   alias Situ.Cluster.{MessageBatch, StreamEntry}
   alias Situ.Cluster.Log

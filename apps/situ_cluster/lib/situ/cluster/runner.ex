@@ -54,9 +54,9 @@ defmodule Situ.Cluster.Runner do
   def stop_sources(runner), do: GenServer.cast(runner, :stop)
 
   @doc """
-  Releases the part: takes a checkpoint, then makes the lease available to other nodes. `away` is the demotion level of
-  this node from then on: 0 for none; of two drained nodes, the one with the higher level waits longer. With a process
-  `mover`, the level applies only while that process is alive, and the previous one is then restored.
+  Releases the part: takes a checkpoint, then makes the lease available to other nodes. `demotion` is the demotion
+  level of this node from then on: 0 for none; of two drained nodes, the one with the higher level waits longer. With
+  a process `mover`, the level applies only while that process is alive, and the previous one is then restored.
   """
   @spec release_part(pid(), non_neg_integer(), pid() | nil) :: :ok
   def release_part(runner, demotion, mover \\ nil),
@@ -65,7 +65,7 @@ defmodule Situ.Cluster.Runner do
   @doc "Sets the demotion level of this node for the part. A part that is already running here stays here."
   @spec set_demotion(pid(), non_neg_integer(), pid() | nil) :: :ok
   def set_demotion(runner, demotion, mover \\ nil),
-    do: GenServer.call(runner, {:stand, demotion, mover}, :infinity)
+    do: GenServer.call(runner, {:demote, demotion, mover}, :infinity)
 
   @doc "Ends a runner permanently: its supervisor does not restart it."
   @spec dismiss(pid()) :: :ok
@@ -167,7 +167,7 @@ defmodule Situ.Cluster.Runner do
        phase: state.phase,
        epoch: state.epoch,
        owner: owner_name(state),
-       away: state.standby.demotion,
+       demotion: state.standby.demotion,
        error: state.error,
        checkpoints: state.checkpoints,
        publisher: PartProcesses.publisher_info(state.publisher),
@@ -181,7 +181,7 @@ defmodule Situ.Cluster.Runner do
     {:reply, :ok, release_and_wait(put_demotion(state, demotion, mover))}
   end
 
-  def handle_call({kind, demotion, mover}, _from, state) when kind in [:release, :stand],
+  def handle_call({kind, demotion, mover}, _from, state) when kind in [:release, :demote],
     do: {:reply, :ok, put_demotion(state, demotion, mover)}
 
   # The code is new, but the plan is the same. A part that does not start with the new code goes to standby, and is
@@ -370,7 +370,7 @@ defmodule Situ.Cluster.Runner do
   defp explain_reason({:shutdown, :lease_lost}), do: "this node could not renew its lease in time"
   defp explain_reason(reason), do: inspect(reason, limit: 8)
 
-  @doc "Returns the log key of one kind of entry (`what`) of a part."
+  @doc "Returns the log key of one `kind` of entry of a part."
   @spec log_key(Deployment.t(), String.t(), String.t()) :: String.t()
   def log_key(deployment, part, kind), do: "#{kind}.#{deployment.name}.#{part}"
   defp log_key(state, kind), do: log_key(state.deployment, state.part, kind)

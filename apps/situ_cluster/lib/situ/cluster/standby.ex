@@ -70,19 +70,19 @@ defmodule Situ.Cluster.Standby do
   @spec restart_wait(t()) :: t()
   def restart_wait(%__MODULE__{} = standby), do: schedule_next_check(%{standby | lease: %Lease{}})
 
-  @doc "Sends this process `:look` after a delay, which is longer if the log responds slowly."
+  @doc "Sends this process `:check` after a delay, which is longer if the log responds slowly."
   @spec schedule_next_check(t()) :: t()
   def schedule_next_check(%__MODULE__{ms: ms, lease: lease} = standby),
     do: schedule_check(standby, max(poll_interval(ms), min(4 * lease.read_ms, ms)))
 
-  @doc "Sends this process `:look` in `ms`, and cancels an earlier timer."
+  @doc "Sends this process `:check` in `ms`, and cancels an earlier timer."
   @spec schedule_check(t(), non_neg_integer()) :: t()
   def schedule_check(%__MODULE__{timer: timer} = standby, ms) do
     _ = timer && Process.cancel_timer(timer)
     %{standby | timer: Process.send_after(self(), :check, ms)}
   end
 
-  @doc "Sets the demotion level `away`; with a process, only for the lifetime of that process."
+  @doc "Sets the demotion level; with a process, only for the lifetime of that process."
   @spec set_demotion(t(), non_neg_integer(), pid() | nil) :: t()
   def set_demotion(%__MODULE__{previous: {ref, before}} = standby, demotion, mover) do
     Process.demonitor(ref, [:flush])

@@ -24,7 +24,7 @@ defmodule Situ.Cluster.Subscribers do
 
   defstruct by_ref: %{}, joined: MapSet.new()
 
-  @typedoc "`seen`: the parts that have ever joined a stream, as `{stream, part}`."
+  @typedoc "`joined`: the parts that have ever joined a stream, as `{stream, part}`."
   @type t :: %__MODULE__{by_ref: %{term() => map()}, joined: MapSet.t()}
 
   @doc "Adds a reader that already has all messages up to the sequence id `from`."

@@ -115,7 +115,7 @@ defmodule Situ.Infer.BodyPose do
   def find_body(%Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, model} <- load_model(opts),
-         {:ok, {detection, _place}} <-
+         {:ok, {detection, _region}} <-
            find_with_tracking(%__MODULE__{opts: opts, model: model}, image),
          do: {:ok, detection}
   end

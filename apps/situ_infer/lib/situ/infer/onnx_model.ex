@@ -45,8 +45,6 @@ defmodule Situ.Infer.OnnxModel do
     ]
   ]
 
-  Situ.Options.add_to_moduledoc(__MODULE__, @schema)
-
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

@@ -13,11 +13,11 @@ defmodule Situ.Link.Source do
 
   alias Situ.{Error, Type}
   alias Situ.Link.Connection
+  alias Situ.Link.Server.RecordingReader
   alias Situ.Link.Wire.{Batch, ClockEstimate}
   alias Situ.Store.Envelopes
 
-  # This time is earlier than the times of all messages.
-  @before_all -0x4000000000000000
+  @before_all RecordingReader.before_all()
 
   defstruct [
     :link,

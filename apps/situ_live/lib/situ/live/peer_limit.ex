@@ -9,7 +9,7 @@ defmodule Situ.Live.PeerLimit do
   @doc """
   Returns the processes of connections that exceed the limit of their address, and the processes that may stay.
 
-  `earlier` is the set of processes that could stay at the last call: they have precedence over later connections.
+  `known` is the set of processes that could stay at the last call: they have precedence over later connections.
   """
   @spec find_excess(:inet.port_number(), MapSet.t(pid()), pos_integer()) ::
           {[pid()], MapSet.t(pid())}

@@ -2,6 +2,8 @@ defmodule Situ.Store.Codecs do
   @moduledoc false
   # Finds the module of a codec by name among the modules of the applications that build on Situ.
 
+  alias Situ.Store.Undecoded
+
   @key {__MODULE__, :names}
 
   @spec find_module(String.t(), String.t() | nil) :: module() | nil
@@ -14,6 +16,26 @@ defmodule Situ.Store.Codecs do
   @spec module_for(term()) :: module() | nil
   def module_for(%module{}), do: if(implements_codec?(module), do: module)
   def module_for(_), do: nil
+
+  @doc """
+  Decodes the bytes of the codec `name` with its module, `nil` if it has none. Bytes that cannot be decoded become a
+  `Situ.Store.Undecoded`.
+  """
+  @spec decode_payload(module() | nil, String.t() | nil, binary()) :: term()
+  def decode_payload(nil, name, bytes) do
+    why = "no module in this system implements the codec #{inspect(name)}"
+    %Undecoded{codec: name, bytes: bytes, reason: why}
+  end
+
+  def decode_payload(module, name, bytes) do
+    case module.decode(bytes) do
+      {:ok, data} ->
+        data
+
+      {:error, reason} ->
+        %Undecoded{codec: name, bytes: bytes, reason: "#{inspect(module)}: #{inspect(reason)}"}
+    end
+  end
 
   defp implements_codec?(module) do
     case :persistent_term.get({__MODULE__, module}, nil) do

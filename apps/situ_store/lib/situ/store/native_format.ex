@@ -224,22 +224,10 @@ defmodule Situ.Store.NativeFormat do
 
     for {sequence, time, creation, bytes} <- list,
         do:
-          build_message({sequence, time, creation, decode_payload(module, name, bytes)}, info.id)
-  end
-
-  defp decode_payload(nil, name, bytes) do
-    why = "no module in this system implements the codec #{inspect(name)}"
-    %Undecoded{codec: name, bytes: bytes, reason: why}
-  end
-
-  defp decode_payload(module, name, bytes) do
-    case module.decode(bytes) do
-      {:ok, data} ->
-        data
-
-      {:error, reason} ->
-        %Undecoded{codec: name, bytes: bytes, reason: "#{inspect(module)}: #{inspect(reason)}"}
-    end
+          build_message(
+            {sequence, time, creation, Codecs.decode_payload(module, name, bytes)},
+            info.id
+          )
   end
 
   @impl true

@@ -193,7 +193,7 @@ defmodule Situ.Store.Query do
     with {:ok, opts} <- Options.validate(opts, @read_options) do
       {limit, opts} = Keyword.pop(opts, :limit)
       info = unwrap!(stream_info(store, name))
-      read = batch_reader(store, info, opts)
+      read = batch_reader(store, info, [total: limit] ++ opts)
       {:ok, read |> read_batches(first_ordinal(store, info, opts), limit) |> Enum.take(limit)}
     end
   rescue
@@ -274,7 +274,7 @@ defmodule Situ.Store.Query do
          do: read_message(store, info, ordinal)
   end
 
-  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
+  @doc "Returns the ordinal of the first message at or after `time`, or the next new ordinal if there is none."
   @spec seek_ordinal(Recording.t(), StreamInfo.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def seek_ordinal(store, info, time), do: store.module.seek(store.state, info, time)

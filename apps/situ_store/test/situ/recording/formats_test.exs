@@ -1,4 +1,5 @@
 defmodule Situ.Recording.FormatsTest do
   use ExUnit.Case, async: true
+  doctest Situ.Recording
   doctest Situ.Recording.Formats
 end

@@ -39,9 +39,9 @@ export function positionAt(frames, t) {
   return { place: before.place.map((v, i) => v + k * (after.place[i] - v)), key: false };
 }
 
-// Returns the box between two opposite corners in any order, clipped to the image.
 /** @typedef {[number, number]} Point */
 
+// Returns the box between two opposite corners in any order, clipped to the image.
 /** @param {Point} a @param {Point} b @param {number} width @param {number} height */
 export function boxBetween([x0, y0], [x1, y1], width, height) {
   const clamp = (v, most) => Math.min(Math.max(v, 0), most);

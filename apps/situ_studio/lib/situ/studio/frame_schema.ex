@@ -74,13 +74,7 @@ defmodule Situ.Studio.FrameSchema do
   @doc "Returns the sum of the flags whose value is `true`."
   @spec encode_flags(atom(), keyword() | map()) :: non_neg_integer()
   def encode_flags(group, values),
-    do:
-      for(
-        {name, bit} <- Map.fetch!(@codes, group),
-        values[name] == true,
-        reduce: 0,
-        do: (sum -> sum + bit)
-      )
+    do: Enum.sum(for {name, bit} <- Map.fetch!(@codes, group), values[name] == true, do: bit)
 
   @doc "Returns 0 or 1 for each flag."
   @spec decode_flags(atom(), non_neg_integer()) :: %{atom() => 0 | 1}

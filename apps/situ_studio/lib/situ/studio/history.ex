@@ -22,7 +22,7 @@ defmodule Situ.Studio.History do
   # This time is earlier than any other.
   @before_all -0x8000000000000000
 
-  # One select reads many messages faster than single lookups, but it passes over all messages of the stream.
+  # One select reads many messages faster than single lookups, but it passes over the whole table.
   @many 1_000
   @lookup_cost 10
   @most_selected 1_000_000
@@ -219,21 +219,22 @@ defmodule Situ.Studio.History do
   end
 
   @doc """
-  Reads about `limit` messages at or before `to` from a number on, and returns them with the next number. Raises the
-  error `:gone`.
+  Reads about `limit` messages at or before `to` from a number on, and returns them with the next number. If the reader
+  wants `total` messages in all, up to that many are returned together if that is faster. Raises the error `:gone`.
   """
   @spec read_messages(
           t(),
           String.t(),
           non_neg_integer(),
           Situ.Time.t() | :unbounded,
-          pos_integer()
+          {limit :: pos_integer(), total :: pos_integer() | nil}
         ) :: {[Message.t()], non_neg_integer()}
-  def read_messages(%__MODULE__{messages: messages} = history, name, ordinal, to, limit) do
+  def read_messages(%__MODULE__{messages: messages} = history, name, ordinal, to, {limit, total}) do
     key = first_key(history, name, ordinal)
+    total = min(total || @most_selected, @most_selected)
 
-    if select?(history, key, {name, ordinal, to}, limit) do
-      select_rows(messages, key, to)
+    if limit >= @many and select?(history, key, {name, ordinal, to}, total) do
+      select_rows(messages, key, to, total)
     else
       collect_rows(messages, key, {name, to}, limit)
     end
@@ -253,22 +254,22 @@ defmodule Situ.Studio.History do
     end
   end
 
-  defp select?(history, {_, _}, {name, ordinal, to}, limit) when limit >= @many do
+  defp select?(history, {_, _}, {name, ordinal, to}, total) do
     stop =
       if to == :unbounded,
         do: next_ordinal(history, name),
         else: find_ordinal(history, name, to + 1)
 
-    (stop - ordinal) * @lookup_cost > :ets.info(history.messages, :size)
+    min(stop - ordinal, total) * @lookup_cost > :ets.info(history.messages, :size)
   end
 
-  defp select?(_history, _key, _window, _limit), do: false
+  defp select?(_history, _key, _window, _total), do: false
 
   # The atom `:unbounded` sorts after all numbers.
-  defp select_rows(messages, {name, from}, to) do
+  defp select_rows(messages, {name, from}, to, total) do
     guards = [{:>=, :"$1", from}, {:"=<", :"$1", to}]
 
-    case :ets.select(messages, [{{{name, :"$1"}, :_, :_, :_}, guards, [:"$_"]}], @most_selected) do
+    case :ets.select(messages, [{{{name, :"$1"}, :_, :_, :_}, guards, [:"$_"]}], total) do
       {rows, _continuation} -> rows
       :"$end_of_table" -> []
     end

@@ -34,7 +34,7 @@ defmodule Situ.Studio.StreamReader do
   @doc "Returns descriptions of the damage of the recording; `[]` if it is fully readable."
   @spec list_damage(Recording.t()) :: [String.t()]
   def list_damage(recording) do
-    Store.info(recording).damage
+    Enum.map(Store.info(recording).damage, &Recording.describe_damage/1)
   rescue
     error in Error -> [Exception.message(error)]
   end

@@ -10,7 +10,7 @@ defmodule Situ.Studio.VideoExport do
   alias Situ.Media.Encoder
   alias Situ.Studio.VideoExport.Masks
   alias Situ.Studio.StreamReader
-  alias Situ.Studio.Visualizers.Masks, as: Found
+  alias Situ.Studio.Visualizers
   alias Situ.Studio.Visualizers.Shapes
 
   @enforce_keys [:pictures, :from, :to]
@@ -186,7 +186,7 @@ defmodule Situ.Studio.VideoExport do
     for {stream, color, props} <- film.masks,
         {:ok, message} <- [StreamReader.latest_at(source, stream, time)],
         {:ok, found} <- [
-          Found.fetch_masks(message.data, source, stream, message.originating_time)
+          Visualizers.Masks.fetch_masks(message.data, source, stream, message.originating_time)
         ],
         do: {found, color, props}
   end

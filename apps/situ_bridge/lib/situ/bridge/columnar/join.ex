@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Columnar.Join do
 
   @doc """
   Returns lists of messages whose data are maps from stream names to values. Enumerating them reads the recording.
-  `names` are the streams to join to `on`; `reading` are options of `Situ.Store.messages/3`.
+  `names` are the streams to join to `on`; `read_opts` are options of `Situ.Store.messages/3`.
   """
   @spec stream_parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
   def stream_parts(store, on, names, opts, read_opts) do

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Format.SafeConversion do
   # Conversions that rely on the standard's fields therefore run inside `try_build/1`.
 
   @doc """
-  Returns the result of `make`, or `:error` if it raises because the message does not have the expected fields.
+  Returns the result of `fun`, or `:error` if it raises because the message does not have the expected fields.
 
       iex> alias Situ.Bridge.Format.SafeConversion
       iex> {SafeConversion.try_build(fn -> {:ok, 1} end), SafeConversion.try_build(fn -> Map.fetch!(%{}, "x") end)}

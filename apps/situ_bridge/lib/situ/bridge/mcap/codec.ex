@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   @type schema :: {name :: String.t(), encoding :: String.t(), data :: binary()} | nil
 
-  # `by` is the definition or schema that bytes are decoded with. With `maps?`, standard messages stay maps with all
+  # `schema` is the definition or schema that bytes are decoded with. With `maps?`, standard messages stay maps with all
   # their fields.
   @enforce_keys [:kind]
   defstruct [:kind, :schema, :name, topic: "", maps?: false, extra?: false]

@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     take_rows(%{chunk | page: page}, count - length(rows), [rows | groups])
   end
 
-  # `n` entries complete at most `n` rows.
+  # `count` entries complete at most `count` rows.
   defp take_rows(chunk, count, groups) do
     {entries, page} = Page.take_entries(chunk.page, min(count, chunk.page.remaining))
     {row, size, rows} = Enum.reduce(entries, {chunk.row, chunk.row_size, []}, &put_entry/2)

@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Parquet.Page do
   @typedoc "A value with its repetition and definition levels, or only the value for flat columns."
   @type entry :: {non_neg_integer(), non_neg_integer(), term()} | term()
 
-  @doc "Returns the size of a page's body in the file, from its header. Throws if it exceeds the remaining `room`."
+  @doc "Returns the size of a page's body in the file, from its header. Throws if it exceeds `limit`."
   @spec stored_size(map(), limit :: non_neg_integer()) :: non_neg_integer()
   def stored_size(%{2 => size, 3 => stored}, limit)
       when stored in 0..limit//1 and size in 0..@max_bytes,

@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   @token Regex.compile!(Enum.join([@comments, @strings, @words], "|"), "s")
   @max_depth 50
 
-  @doc "Parses a text to a schema; `also` lists the messages and enumerations that the text may refer to."
+  @doc "Parses a text to a schema; `known_types` lists the messages and enumerations that the text may refer to."
   @spec parse(String.t(), [{list(), list()}]) :: {:ok, Schema.t()} | {:error, String.t()}
   def parse(text, known_types \\ []) do
     with {:ok, messages, enums} <- parse_types(text) do
@@ -258,7 +258,7 @@ defmodule Situ.Bridge.Protobuf.ProtoParser do
   defp put_named_type(field, {:enum, _} = type), do: %{field | type: type}
   defp put_named_type(field, type), do: %{field | type: type, packed?: false}
 
-  # A fully qualified name of an unknown type is kept: `also` may define it.
+  # A fully qualified name of an unknown type is kept, because `known_types` may define it.
   defp find_type("." <> name, _scope, _messages, enums),
     do: if(name in enums, do: {:enum, name}, else: {:message, name})
 

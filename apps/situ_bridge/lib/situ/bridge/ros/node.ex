@@ -61,7 +61,6 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   @impl true
-
   def handle_call(:adopt, _from, state) do
     node = self()
     {:ok, slave} = SlaveCall.start_link(&GenServer.call(node, {:slave, &1, &2}))

@@ -82,8 +82,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @impl PeerSender
   def count_dropped(socket), do: GenServer.call(socket, :dropped)
 
-  @doc "Records that the owner has taken `n` messages."
-  def subtract_read(socket_state, n), do: :atomics.sub(socket_state, 1, n)
+  @doc "Records that the owner has read `n` messages."
+  def subtract_read(unread_counter, n), do: :atomics.sub(unread_counter, 1, n)
 
   @doc "Returns the counter of unread messages, which `subtract_read/2` decrements."
   def unread_counter(socket), do: GenServer.call(socket, :unread_counter)

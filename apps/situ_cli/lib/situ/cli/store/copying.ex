@@ -187,7 +187,7 @@ defmodule Situ.CLI.Store.Copying do
   end
 
   defp write_store(paths, out, opts, make) do
-    Recording.prepare_readers(paths)
+    Recording.load_formats(paths)
     UnfinishedOutput.remove_store_at_exit(out)
     path = Progress.with_progress("write", opts, fn progress -> unwrap!(make.(progress)) end)
     if opts[:json], do: Output.print_json(%{path: path}), else: Output.puts(path)

@@ -88,7 +88,7 @@ defmodule Situ.CLI.Store.Exchange do
 
   defp send_recording(%{path: path}, opts) do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
-    Recording.prepare_readers([path])
+    Recording.load_formats([path])
     store = Transport.open_recording!(path, opts)
     streams = Enum.filter(Arguments.select_streams!(store, opts), &(&1.count > 0))
 

@@ -10,7 +10,7 @@ defmodule Situ.CLI.Store.ExternalFiles do
   @spec verify_file(Path.t(), (non_neg_integer(), non_neg_integer() -> any())) ::
           {:ok, report()} | {:error, Error.t()}
   def verify_file(path, progress) do
-    Recording.prepare_readers([path])
+    Recording.load_formats([path])
 
     with {:ok, store} <- Store.open(path) do
       streams = Store.streams(store)
@@ -21,13 +21,13 @@ defmodule Situ.CLI.Store.ExternalFiles do
           read_stream(store, info, acc, &progress.(&1, total))
         end)
 
-      of_file = for position <- Store.info(store).damage, do: %{why: describe_damage(position)}
+      of_file =
+        for position <- Store.info(store).damage,
+            do: %{why: Situ.Recording.describe_damage(position)}
+
       {:ok, %{messages: read, damage: of_file ++ Enum.reverse(damage)}}
     end
   end
-
-  defp describe_damage(sentence) when is_binary(sentence), do: sentence
-  defp describe_damage(position), do: "at byte #{position[:offset]}: #{position[:why]}"
 
   defp read_stream(store, info, {read, damage}, progress) do
     {n, bad, why} =

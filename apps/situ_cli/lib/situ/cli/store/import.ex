@@ -170,7 +170,7 @@ defmodule Situ.CLI.Store.Import do
   defp import_named(named, out), do: TableImport.import(named, out, notice: &Output.warn/1)
 
   defp import_recordings(paths, out, opts) do
-    Recording.prepare_readers(paths)
+    Recording.load_formats(paths)
 
     result =
       Progress.with_progress("import", opts, fn progress ->

@@ -150,15 +150,11 @@ defmodule Situ.CLI.Store.Info do
     ]
 
   defp damage_lines(_store, info) do
-    lines = for damage <- Enum.take(info.damage, 5), do: describe_damage(damage)
+    lines = for damage <- Enum.take(info.damage, 5), do: Situ.Recording.describe_damage(damage)
 
     more = length(info.damage) - length(lines)
     lines ++ if(more > 0, do: ["at #{Output.format_count(more, "more position")}"], else: [])
   end
-
-  # Some readers of external files describe damage as a sentence.
-  defp describe_damage(sentence) when is_binary(sentence), do: sentence
-  defp describe_damage(damage), do: "at byte #{damage[:offset]}: #{damage[:why]}"
 
   defp print_streams(_store, []), do: :ok
 

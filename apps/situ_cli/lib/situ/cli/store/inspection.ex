@@ -123,7 +123,7 @@ defmodule Situ.CLI.Store.Inspection do
 
   defp show_info(%{path: paths}, opts) do
     paths = Recording.expand_patterns(paths)
-    Recording.prepare_readers(paths)
+    Recording.load_formats(paths)
 
     if opts[:show],
       do: McapStructure.show_part(paths, opts[:show], opts),

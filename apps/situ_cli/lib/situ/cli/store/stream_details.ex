@@ -80,12 +80,12 @@ defmodule Situ.CLI.Store.StreamDetails do
     end
   end
 
-  # Readers of external files set unknown sizes and creation times to 0 or nil.
+  # External formats set unknown sizes and creation times to 0 or nil.
   defp value_known?(%{module: Store.NativeFormat}, _info, _value), do: true
   defp value_known?(_foreign, %{count: 0}, _value), do: true
   defp value_known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
-  @doc "Formats a size, or returns `-` if the reader does not know it."
+  @doc "Formats a size, or returns `-` if the format does not report it."
   @spec format_bytes(Store.t(), StreamInfo.t(), number() | nil) :: String.t()
   def format_bytes(store, info, size) do
     if value_known?(store, info, size), do: Output.format_bytes(round(size || 0)), else: "-"

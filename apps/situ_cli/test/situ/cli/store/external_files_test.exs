@@ -47,6 +47,13 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
   defp failed(argv),
     do: capture_io(:stderr, fn -> assert Situ.CLI.run(["store" | argv]) == 1 end)
 
+  test "reports the invalid rows of a table", %{tmp_dir: root} do
+    path = Path.join(root, "walk.csv")
+    File.write!(path, "time,x\n0,1\nnever,2\n1,3\n")
+    assert {0, said} = situ(["info", path])
+    assert said =~ ~s(walk.csv: line 3: "never" is not a valid time)
+  end
+
   test "recovers the readable part of a damaged MCAP file into a new one", %{tmp_dir: root} do
     sound = Path.join(root, "sound.mcap")
     {:ok, _} = @drive |> Situ.Store.open!() |> Situ.Bridge.Mcap.copy(sound, chunk: 20_000)

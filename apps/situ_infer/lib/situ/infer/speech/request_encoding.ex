@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.RequestEncoding do
   @moduledoc false
-  # The parts of requests that speech services share: audio as a WAV file in memory, forms, escaped text for SSML, and
-  # the reply to a text.
+  # The parts of requests that speech services share: audio as a WAV file in memory, forms, and the reply to a
+  # text.
   alias Situ.{AudioBuffer, AudioFormat, AudioOps, Error}
   alias Situ.Infer.Speech.TextCheck
 
@@ -70,17 +70,5 @@ defmodule Situ.Infer.Speech.RequestEncoding do
       :nothing -> AudioBuffer.new(format: format, data: "")
       error -> error
     end
-  end
-
-  @doc "Escapes text for an XML document."
-  @spec escape_xml(String.t()) :: String.t()
-  def escape_xml(text) do
-    text
-    |> String.replace(~r/[\x00-\x08\x0b\x0c\x0e-\x1f]/, "")
-    |> String.replace("&", "&amp;")
-    |> String.replace("<", "&lt;")
-    |> String.replace(">", "&gt;")
-    |> String.replace("\"", "&quot;")
-    |> String.replace("'", "&apos;")
   end
 end

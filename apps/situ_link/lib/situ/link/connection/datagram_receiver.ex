@@ -43,7 +43,7 @@ defmodule Situ.Link.Connection.DatagramReceiver do
 
   def handle_subscribed(_channel, _map, _socket), do: :ok
 
-  @doc "Starts receiving from the address `to`, which the server has announced over the connection."
+  @doc "Starts receiving from the address `server`, which the other side has announced over the connection."
   @spec start_receiving(pid(), {:inet.ip_address(), :inet.port_number()}) :: :ok
   def start_receiving(pid, server), do: GenServer.cast(pid, {:begin, server})
 

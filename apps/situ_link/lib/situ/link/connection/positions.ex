@@ -30,7 +30,7 @@ defmodule Situ.Link.Connection.Positions do
   def retain_position(%__MODULE__{} = positions, name, time),
     do: %{positions | retained: Map.put(positions.retained, name, time)}
 
-  @doc "Writes changed positions to the file. `taken` holds the positions of the subscribed streams."
+  @doc "Writes changed positions to the file. `consumed` holds the positions of the subscribed streams."
   @spec save_changes(t(), Path.t(), [{String.t(), Situ.Time.t() | nil}]) ::
           {:ok | {:error, Error.t()}, t()}
   def save_changes(%__MODULE__{} = positions, path, consumed) do

@@ -42,7 +42,7 @@ defmodule Situ.Link.Nats.Protocol do
     ["HPUB ", subject, " ", reply, " #{size} #{total}\r\n", head, data, "\r\n"]
   end
 
-  @doc "Parses the next frame in `bytes`. A message larger than `most` bytes is an error."
+  @doc "Parses the next frame in `bytes`. A message larger than `max` bytes is an error."
   @spec parse_frame(binary(), pos_integer()) ::
           {:ok, frame(), binary()} | :more | {:error, String.t()}
   def parse_frame(bytes, max) do

@@ -24,9 +24,9 @@ defmodule Situ.Link.Server.Channel do
   ]
 
   @typedoc """
-  `state` is `:waiting` (no stream of this name exists yet), `:open`, or `:ended`. `out` holds the frames to send, with
-  their numbers of messages. `udp` holds the key and size of the datagrams requested by the client, and `datagrams` is
-  the process that sends them.
+  `state` is `:waiting` (no stream of this name exists yet), `:open`, or `:ended`. `frames` holds the frames to send,
+  with their numbers of messages. `udp` holds the key and size of the datagrams requested by the client, and
+  `datagrams` is the process that sends them.
   """
   @type t :: %__MODULE__{}
 

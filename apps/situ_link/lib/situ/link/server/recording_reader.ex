@@ -255,7 +255,7 @@ defmodule Situ.Link.Server.RecordingReader do
   @spec request_notice(t()) :: t()
   def request_notice(%{notice: :no, store: store} = state) when store != nil do
     Query.notify(store, state.count, state.version)
-    %{state | notice: :notice}
+    %{state | notice: :requested}
   end
 
   def request_notice(state), do: state
@@ -266,7 +266,7 @@ defmodule Situ.Link.Server.RecordingReader do
     do: {:ok, %{state | count: n, notice: :no}}
 
   def handle_notice(%{version: version} = state, {:situ_store, version, {:ended, n}}),
-    do: {:ok, %{state | count: n, notice: :over}}
+    do: {:ok, %{state | count: n, notice: :ended}}
 
   def handle_notice(_state, _other), do: :other
 

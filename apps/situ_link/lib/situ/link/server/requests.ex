@@ -158,7 +158,7 @@ defmodule Situ.Link.Server.Requests do
   end
 
   defp check_supported(store, function, arity) do
-    if function_exported?(store.module, function, arity),
+    if Recording.implements?(store, function, arity),
       do: :ok,
       else:
         {:error,

@@ -13,7 +13,7 @@ defmodule Situ.Link.Wire.Batch do
   # cannot be decoded become a `Situ.Store.Undecoded` in their message, so that the stream
   # continues.
   alias Situ.Message
-  alias Situ.Store.{Codecs, TermCodec, Undecoded}
+  alias Situ.Store.{Codecs, TermCodec}
 
   @bytes_codec ":bytes"
   # Encoding smaller binaries separately has no advantage over putting them into the term.
@@ -151,22 +151,7 @@ defmodule Situ.Link.Wire.Batch do
   defp find_decoder(name) do
     if String.valid?(name) do
       module = Codecs.find_module(name, nil)
-      &decode_data(module, name, &1)
-    end
-  end
-
-  defp decode_data(nil, name, bytes) do
-    why = "no loaded module has the codec #{inspect(name)}"
-    %Undecoded{codec: name, bytes: bytes, reason: why}
-  end
-
-  defp decode_data(module, name, bytes) do
-    case module.decode(bytes) do
-      {:ok, data} ->
-        data
-
-      {:error, reason} ->
-        %Undecoded{codec: name, bytes: bytes, reason: "#{inspect(module)}: #{inspect(reason)}"}
+      &Codecs.decode_payload(module, name, &1)
     end
   end
 

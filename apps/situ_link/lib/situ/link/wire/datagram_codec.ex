@@ -25,8 +25,8 @@ defmodule Situ.Link.Wire.DatagramCodec do
   @overhead 8 + @tag + @header
   @min @overhead + 1
   @max 65_507
-  # `@max_open` limits the incomplete sets, and `@max_later` is the number of later complete sets that ends the wait for
-  # one.
+  # `@max_open` limits the incomplete sets, and `@max_later` is the number of later complete sets that ends the wait
+  # for one.
   @max_open 16
   @max_later 2
 

@@ -13,7 +13,7 @@ defmodule Situ.Link.Wire.Frame do
   # | 2 | `{:login, proof, map}` | HMAC of 32 bytes, json | client |
   # | 3 | `{:welcome, proof, map}` | HMAC of 32 bytes, json | server |
   # | 4 | `{:refused, map}` | json: `code`, `what`, `why`, `fix` | server |
-  # | 5 | `{:streams, map}` | json: `streams`, `complete` | server |
+  # | 5 | `{:streams, map}` | json: `streams` | server |
   # | 6 | `{:subscribe, channel, map}` | channel 32, json | client |
   # | 7 | `{:subscribed, channel, map}` | channel 32, json | server |
   # | 8 | `{:unsubscribe, channel}` | channel 32 | client |

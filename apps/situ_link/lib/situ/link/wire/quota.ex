@@ -65,7 +65,7 @@ defmodule Situ.Link.Wire.Quota do
     end
   end
 
-  @doc "Returns a part size, at most `most` bytes, that delays more important data by no more than 50 ms."
+  @doc "Returns a part size, at most `max` bytes, that delays more important data by no more than 50 ms."
   @spec segment_size(t(), pos_integer()) :: pos_integer()
   def segment_size(%__MODULE__{limits: limits}, max) do
     case List.keyfind(limits, :bytes, 0) do

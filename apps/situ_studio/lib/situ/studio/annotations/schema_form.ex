@@ -79,8 +79,8 @@ defmodule Situ.Studio.Annotations.SchemaForm do
     end
   end
 
-  defp text_param(fields, old),
-    do: if(is_binary(fields), do: String.slice(fields, 0, 100), else: old)
+  defp text_param(text, old),
+    do: if(is_binary(text), do: String.slice(text, 0, 100), else: old)
 
   @doc "Adds an empty attribute, or an empty value to the attribute at `index`."
   @spec add_entry([attribute()], :attribute | non_neg_integer()) :: [attribute()]

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Feed do
   @moduledoc false
-  # Provides snapshots of a pipeline: from a running pipeline (a module of recordings with `snapshot/1`), or from a
+  # Provides snapshots of a pipeline: from a running pipeline (`Situ.Studio.Recordings.Pipeline`), or from a
   # stream of snapshots in a recording.
   alias Situ.{Error, Message, Recording}
   alias Situ.Diagnostics.{Edge, Node, Snapshot, Trace, Window}
@@ -12,11 +12,8 @@ defmodule Situ.Studio.PipelineView.Feed do
   # A page's derived streams do not belong to the pipeline.
   def open(%{state: %Recordings.DerivedStreams{recording: source}}), do: open(source)
 
-  def open(%Recording{} = source) do
-    if Recording.implements?(source, :snapshot, 1),
-      do: {:ok, {:live, source}},
-      else: open_recorded(source)
-  end
+  def open(%Recording{module: Recordings.Pipeline} = source), do: {:ok, {:live, source}}
+  def open(%Recording{} = source), do: open_recorded(source)
 
   # A reader creates no atoms, so the atoms of these structs must exist before.
   @structs [Snapshot, Node, Edge, Window, Situ.Diagnostics.Process]
@@ -53,7 +50,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   @doc "Fetches the current snapshot (live, or the newest recorded one) and its time."
   @spec fetch_latest(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
   def fetch_latest({:live, source}) do
-    with {:ok, %Snapshot{} = snapshot} <- source.module.snapshot(source.state),
+    with {:ok, %Snapshot{} = snapshot} <- Recordings.Pipeline.snapshot(source.state),
          do: {:ok, without_taps(snapshot), System.monotonic_time(:nanosecond)}
   end
 
@@ -64,7 +61,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   @doc "Traces the message of one originating time in a running pipeline, leaving out the studio's own taps."
   @spec fetch_trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
   def fetch_trace({:live, source}, time) do
-    with {:ok, %Trace{} = trace} <- source.module.trace(source.state, time) do
+    with {:ok, %Trace{} = trace} <- Recordings.Pipeline.trace(source.state, time) do
       own? = &String.starts_with?(&1, "Studio: ")
 
       {:ok,

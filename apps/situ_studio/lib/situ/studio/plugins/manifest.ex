@@ -26,7 +26,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   | `drawer` | the page's own visualizer that draws the frames of the `module`, instead of a `script` |
   | `options` | by name: `type` (`boolean`, `color`, `text`, `range`, `choice`), `title`, `default`, `min`, `max`, `choices` |
 
-  Adapters, readers and tasks are Elixir modules below `lib/` and are not listed.
+  Adapters, file formats and tasks are Elixir modules below `lib/` and are not listed.
 
       iex> {:error, error} = Situ.Studio.Plugins.Manifest.parse(~s({"plugin": 1, "id": "Gaze!"}))
       iex> error.what

@@ -4,7 +4,7 @@ defmodule Situ.Studio.Recordings.Adapted do
   # that the adapter cannot convert are gaps.
   @behaviour Situ.Recording
 
-  alias Situ.{Recording, Store}
+  alias Situ.{Message, Recording, Store}
   alias Situ.Studio.Gap
   alias Situ.Studio.Recordings.Origin
 
@@ -31,8 +31,14 @@ defmodule Situ.Studio.Recordings.Adapted do
   # The stored summary is that of other data.
   defp convert_info(info, recording) do
     info = Origin.put_origin(info, recording)
-    extra = info.extra |> Map.take([:origin, :path]) |> Map.put(:summary, :none)
+    extra = info.extra |> Map.take([:origin, :path, :stored, :bases]) |> Map.put(:summary, :none)
     %{info | type: :any, extra: extra}
+  end
+
+  @impl true
+  def latest_at({_, adapter}, %{extra: %{origin: {recording, info}}}, time) do
+    with {:ok, %Message{} = message} <- Store.latest_at(recording, info, time),
+         do: {:ok, adapt_message(message, adapter)}
   end
 
   @impl true

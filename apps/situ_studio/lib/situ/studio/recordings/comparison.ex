@@ -55,8 +55,14 @@ defmodule Situ.Studio.Recordings.Comparison do
   @impl true
   def info(%{first: first, second: second}) do
     {a, b} = {Store.info(first), Store.info(second)}
-    damage = for what <- b.damage, do: @prefix <> " " <> what
-    %{a | closed?: a.closed? and b.closed?, live?: a.live? or b.live?, damage: a.damage ++ damage}
+    damage = for what <- StreamReader.list_damage(second), do: "#{@prefix} #{what}"
+
+    %{
+      a
+      | closed?: a.closed? and b.closed?,
+        live?: a.live? or b.live?,
+        damage: StreamReader.list_damage(first) ++ damage
+    }
   end
 
   @impl true

@@ -53,8 +53,10 @@ defmodule Situ.Studio.Recordings.History do
   def seek(history, info, time), do: {:ok, History.find_ordinal(history, info.name, time)}
 
   @impl true
-  def read(history, info, ordinal, to, limit, _opts) do
-    {messages, next} = History.read_messages(history, info.name, ordinal, to, limit)
+  def read(history, info, ordinal, to, limit, opts) do
+    {messages, next} =
+      History.read_messages(history, info.name, ordinal, to, {limit, opts[:total]})
+
     {:ok, messages, next}
   rescue
     error in Error -> {:error, error}

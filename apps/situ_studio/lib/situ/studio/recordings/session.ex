@@ -50,7 +50,7 @@ defmodule Situ.Studio.Recordings.Session do
     damage =
       for {prefix, recording} <- parts,
           what <- StreamReader.list_damage(recording),
-          do: prefix <> " " <> what
+          do: String.trim_leading("#{prefix} #{what}")
 
     %{
       name: nil,

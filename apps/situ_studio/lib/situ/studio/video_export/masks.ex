@@ -4,7 +4,7 @@ defmodule Situ.Studio.VideoExport.Masks do
   # (`Situ.Studio.Visualizers.Masks`). Masks of objects are drawn in their boxes, and masks of
   # classes over the part of the image that was the network's input.
   alias Situ.{Image, ImageOps}
-  alias Situ.Studio.Visualizers.Masks, as: Found
+  alias Situ.Studio.Visualizers
 
   # A box may claim any size, so larger ones are left out.
   @pixels 16_777_216
@@ -21,7 +21,8 @@ defmodule Situ.Studio.VideoExport.Masks do
       iex> Situ.Studio.VideoExport.Masks.draw_masks(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
       <<0, 0, 0, 20, 100, 50>>
   """
-  @spec draw_masks(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
+  @spec draw_masks(Image.t(), Visualizers.Masks.result(), non_neg_integer(), tuple(), map()) ::
+          Image.t()
   def draw_masks(image, {:classes, classes}, _own, palette, props) do
     box = covered_rect(classes, image, props["fit"] || "pad")
     tint_rect(image, classes, box, &class_shade(palette, &1 - 1), mask_opacity(props))

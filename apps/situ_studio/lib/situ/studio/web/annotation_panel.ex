@@ -265,9 +265,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   end
 
   # Uses the saved schema that the form names, or builds one from the form's fields.
-  defp resolve_schema(%{"schema" => path}, _name, _values, assigns)
-       when is_binary(path) and path != "",
-       do: Schemas.load(assigns.layout_dir, path)
+  defp resolve_schema(%{"schema" => saved}, _name, _values, assigns)
+       when is_binary(saved) and saved != "",
+       do: Schemas.load(assigns.layout_dir, saved)
 
   defp resolve_schema(params, name, values, _), do: build_schema(params["kind"], name, values)
 

@@ -50,13 +50,13 @@ defmodule Situ.Studio.Web.LayoutMenu do
   """
   @spec update_automatic(Socket.t(), map()) :: Socket.t()
   def update_automatic(%{assigns: %{layout: layout, saved: layout} = assigns} = socket, shapes) do
-    shape_lost? = fn {name, shape} ->
+    shape_found? = fn {name, shape} ->
       shape == :value and assigns.shapes[name] not in [:value, nil]
     end
 
     automatic? = layout.name == Layout.Auto.layout_name()
 
-    if automatic? and Enum.any?(shapes, shape_lost?),
+    if automatic? and Enum.any?(shapes, shape_found?),
       do: choose_layout(socket, %{"layout" => layout.name}),
       else: socket
   end

@@ -114,26 +114,31 @@ defmodule Situ.Studio.Recordings.StoreTest do
     assert_in_delta later, 12_000_000_000, 25_000_000
   end
 
+  test "describes the damage of an external file in sentences", %{tmp_dir: dir} do
+    path = Path.join(dir, "walk.csv")
+    File.write!(path, "time,x\n0,1\nnever,2\n1,3\n")
+    {:ok, recording} = Situ.Store.open(path)
+
+    assert [damage] = StreamReader.list_damage(recording)
+    assert damage =~ "never"
+  end
+
   test "returns the nearest messages on both sides", %{tmp_dir: dir} do
     times = for i <- 1..2_500, do: i * 10 + rem(i * i, 7)
     source = source(record(dir, "near", :float, for(t <- times, do: {t, t * 1.0})))
 
-    held = Situ.Studio.History.new(live: false)
-
-    for {t, i} <- Enum.with_index(times),
-        do: Situ.Studio.History.put(held, "S", Situ.Studio.Asking.message(t, t * 1.0, i), 8)
-
     same =
       forall {time, n} <-
                {:proper_types.integer(-5, 25_100), :proper_types.integer(1, 40)} do
-        for side <- [:before, :after] do
-          told = fn source ->
-            for m <- StreamReader.list_neighbours(source, "S", side, time, n),
-                do: m.originating_time
-          end
-
-          assert told.(source) == told.(Recordings.History.wrap(held))
+        read = fn side ->
+          for m <- StreamReader.list_neighbours(source, "S", side, time, n),
+              do: m.originating_time
         end
+
+        assert read.(:before) ==
+                 times |> Enum.filter(&(&1 < time)) |> Enum.take(-n) |> Enum.reverse()
+
+        assert read.(:after) == times |> Enum.filter(&(&1 > time)) |> Enum.take(n)
       end
 
     Situ.Test.Property.check_forall(same, numtests: 100)

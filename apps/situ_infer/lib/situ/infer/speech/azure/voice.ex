@@ -34,11 +34,11 @@ defmodule Situ.Infer.Speech.Azure.Voice do
   defp build_ssml(text, opts) do
     [
       ~s(<speak version="1.0" xmlns="http://www.w3.org/2001/10/synthesis" xml:lang="),
-      RequestEncoding.escape_xml(opts.language),
+      Situ.Xml.escape(opts.language),
       ~s("><voice name="),
-      RequestEncoding.escape_xml(opts.voice),
+      Situ.Xml.escape(opts.voice),
       ~s(">),
-      RequestEncoding.escape_xml(text),
+      Situ.Xml.escape(text),
       "</voice></speak>"
     ]
   end
