@@ -316,9 +316,9 @@ defmodule Situ.ClusterTest do
     mover = spawn(fn -> receive do: (:never -> :ok) end)
     :ok = Cluster.Runner.set_demotion(runner, 2)
     :ok = Cluster.Runner.set_demotion(runner, 3, mover)
-    assert Cluster.Runner.part_info(runner).away == 3
+    assert Cluster.Runner.part_info(runner).demotion == 3
     Process.exit(mover, :kill)
-    eventually(fn -> Cluster.Runner.part_info(runner).away == 2 end)
+    eventually(fn -> Cluster.Runner.part_info(runner).demotion == 2 end)
   end
 
   test "one part that does not respond hides no other from the status", %{tmp_dir: dir} do
