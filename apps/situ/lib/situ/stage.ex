@@ -3,15 +3,15 @@ defmodule Situ.Stage do
   # The process of one component, or of one chain of light operators: its mailbox. A message passes through these
   # modules:
   #
-  #   Stage                        takes an entry from the mailbox
-  #   RequestHandler               handles requests of the pipeline's server
-  #   Subscriptions                adds and removes connections
-  #   Loop                         selects the next messages, and how many
-  #   Production                   makes sources produce messages, and stops them
-  #   MessageRunner, ChainRunner   run a message through the component, or a batch through its operators
-  #   CallbackRunner               calls the component and handles errors (ErrorPolicy)
-  #   ActionRunner                 applies the actions: posts messages, closes outputs, sets timers; then sends
-  #   Outputs, Inputs, Timers, SourceState, Scheduling   the parts of the State, each owned by one module
+  #   Stage            takes an entry from the mailbox
+  #   RequestHandler   handles requests of the pipeline's server
+  #   Subscriptions    adds and removes connections
+  #   Loop             runs a time slice: selects the next step, and sends what all of them have posted
+  #   StepRunner       runs the next messages through one step: its component or its operators
+  #   Production       makes sources produce messages, and stops them
+  #   CallbackRunner   calls the component and handles errors (ErrorPolicy)
+  #   ActionRunner     applies the actions: posts messages, closes outputs, sets timers
+  #   State, Step      the state of the stage and of its steps: Inputs, Outputs, Timers, SourceState, Work
   #
   # It uses GenStage's messages with its neighbours (see Situ.GenStage). It receives `{:situ, request}` from its
   # pipeline's server and sends `{:situ_stage, id, event}` to it.
@@ -19,19 +19,19 @@ defmodule Situ.Stage do
 
   alias Situ.Clock
   alias Situ.Component.Callback
-  alias Situ.Ports.{Inputs, Outputs}
-  alias Situ.Stage.{Subscriptions, RequestHandler, Loop, State}
+  alias Situ.Ports.Outputs
+  alias Situ.Stage.{Loop, RequestHandler, State, Step, Subscriptions}
 
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
 
   @doc "Returns the value that the control cell has until the pipeline stops: no final time is set."
   @spec no_final_time() :: integer()
-  defdelegate no_final_time, to: State
+  defdelegate no_final_time, to: Step
 
   @doc "Returns whether the stage with this control cell waits for the outside world or for the clock."
   @spec patient?(:atomics.atomics_ref()) :: boolean()
-  defdelegate patient?(control), to: State
+  def patient?(control), do: :atomics.get(control, 2) == 1
 
   @doc "Starts the process; it reports `:up` or `{:init_failed, error}` to the server by itself."
   @spec spawn_link(map()) :: pid()
@@ -49,16 +49,18 @@ defmodule Situ.Stage do
     Process.put(:situ_pipeline, args.server)
     state = State.new(args)
 
-    case State.init(state) do
+    case Subscriptions.start_component(state) do
       {:ok, state} ->
-        State.report_event(state, :up)
+        report(state, :up)
         :gen_server.enter_loop(__MODULE__, [], state)
 
       {:error, error} ->
-        State.report_event(state, {:init_failed, error})
+        report(state, {:init_failed, error})
         exit(:normal)
     end
   end
+
+  defp report(%{steps: steps}, event), do: Step.report_event(elem(steps, 0), event)
 
   @impl true
   def init(_), do: :ignore
@@ -66,7 +68,7 @@ defmodule Situ.Stage do
   # These calls and casts are GenStage's own; all others are for the component.
   @impl true
   def handle_call(:"$estimate_buffered_count", _from, state),
-    do: {:reply, Outputs.buffered_count(state.outputs), state}
+    do: {:reply, Outputs.buffered_count(elem(State.last_step(state), 1).outputs), state}
 
   def handle_call({:"$info", message}, _from, state),
     do: {:reply, :ok, Loop.handle_plain_message(state, message)}
@@ -75,7 +77,7 @@ defmodule Situ.Stage do
 
   @impl true
   def handle_cast({:"$demand", mode}, state) when mode in [:forward, :accumulate],
-    do: {:noreply, Loop.set_demand(state, mode)}
+    do: {:noreply, state |> State.map_steps(&Step.set_demand(&1, mode)) |> Loop.run_slice()}
 
   def handle_cast({:"$info", message}, state),
     do: {:noreply, Loop.handle_plain_message(state, message)}
@@ -84,27 +86,16 @@ defmodule Situ.Stage do
 
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
-    case state.inputs.by_tag do
-      %{^tag => input} ->
-        {:noreply, Loop.handle_closing(state, input, closing_time(reason, state))}
-
-      _ ->
-        {:noreply, Loop.handle_plain_message(state, message)}
+    case State.find_input(state, tag) do
+      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      found -> {:noreply, Loop.handle_closing(state, found, closing_time(reason, state))}
     end
   end
 
-  def handle_info({:"$gen_consumer", {_, tag}, batch} = message, state) do
-    case state.inputs.by_tag do
-      %{^tag => input} -> {:noreply, Loop.handle_batch(state, input, batch)}
-      _ -> {:noreply, Loop.handle_plain_message(state, message)}
-    end
-  end
-
-  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
-      when is_pid(pid) and is_integer(n) and n > 0 do
-    case Outputs.add_demand(state.outputs, from, n) do
-      {:ok, outputs} -> state |> Loop.handle_demand(outputs) |> unless_over()
-      :error -> {:noreply, Subscriptions.handle_consumer_request(state, from, request)}
+  def handle_info({:"$gen_consumer", {_, tag}, batches} = message, state) do
+    case State.find_input(state, tag) do
+      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      found -> {:noreply, Loop.handle_batches(state, found, batches)}
     end
   end
 
@@ -121,12 +112,10 @@ defmodule Situ.Stage do
 
   # A hold that was renewed or has ended in the meantime must not be ended by an old timer.
   def handle_info({:situ_hold, tag, token}, state) do
-    case state.inputs.by_tag do
-      %{^tag => %{held: {_timer, ^token}} = input} ->
-        inputs = Inputs.put(state.inputs, %{input | held: nil})
-
-        {:noreply,
-         Loop.handle_plain_message(%{state | inputs: inputs}, {:hold_ended, input.name})}
+    case State.find_input(state, tag) do
+      {i, %{held: {_timer, ^token}} = input} ->
+        state = State.put_input(state, i, %{input | held: nil})
+        {:noreply, Loop.handle_plain_message(state, {:hold_ended, input.name})}
 
       _ ->
         {:noreply, state}
@@ -134,7 +123,7 @@ defmodule Situ.Stage do
   end
 
   def handle_info({:DOWN, ref, :process, _pid, _} = message, state) do
-    if Enum.any?(Outputs.list_subscribers(state.outputs), &(&1.monitor == ref)),
+    if Enum.any?(State.list_subscribers(state), &(&1.monitor == ref)),
       do: state |> Subscriptions.remove_by_monitor(ref) |> Loop.run_slice() |> unless_over(),
       else: {:noreply, Loop.handle_plain_message(state, message)}
   end
@@ -154,28 +143,35 @@ defmodule Situ.Stage do
   end
 
   @impl true
-  def terminate(_reason, %{callback: nil}), do: :ok
-  def terminate(reason, state), do: Callback.stop_component(state.callback, reason)
-
-  defp unless_over(%{pace: %{quitting: true}} = state) do
-    if Outputs.drained?(state.outputs), do: {:stop, :normal, state}, else: {:noreply, state}
+  def terminate(reason, state) do
+    for %{worker: %Callback{} = worker} <- State.list_steps(state),
+        do: Callback.stop_component(worker, reason)
   end
+
+  defp unless_over(%{quitting: true} = state),
+    do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})
 
   defp unless_over(state), do: {:noreply, state}
 
   defp closing_time({:shutdown, {:closed, time}}, _state), do: time
-  defp closing_time(_reason, state), do: Clock.now(state.clock)
+  defp closing_time(_reason, state), do: Clock.now(state.host.clock)
 
   # A crash report names the component, and omits payloads and options.
   @impl true
   def format_status(_reason, [_dictionary, state]), do: [data: [{~c"State", summary(state)}]]
 
-  defp summary(%State{} = state),
-    do: %{
-      component: State.head_vertex(state).path,
-      phase: state.phase,
-      inputs: map_size(state.inputs.by_tag)
-    }
+  defp summary(%State{} = state) do
+    steps =
+      for step <- State.list_steps(state) do
+        %{
+          component: Step.head_vertex(step).path,
+          phase: step.phase,
+          inputs: map_size(step.inputs.by_tag)
+        }
+      end
+
+    %{steps: steps}
+  end
 
   defp summary(_state), do: %{}
 end

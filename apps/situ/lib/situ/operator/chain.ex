@@ -1,42 +1,54 @@
 defmodule Situ.Operator.Chain do
   @moduledoc false
-  # A chain of light operators in one process. Only the data moves from step to step; the caller builds one envelope
-  # at the end. A step that raises is identified by its index, so that the error names the operator that the user
-  # wrote.
+  # A chain of light operators in one process. Only the data moves from operator to operator; the caller adds the
+  # envelopes at the end. Operators without state are composed into one function. An operator that raises is identified
+  # by its index, so that the error names the operator that the user wrote.
+  alias Situ.Message
+  alias Situ.Ports.Batch
 
   @type step ::
           {atom(), fun(), index :: non_neg_integer()}
           | {atom(), fun(), index :: non_neg_integer(), term()}
   @type steps :: [step()]
+  @type failure ::
+          {:situ_step, index :: non_neg_integer(), :error | :exit | :throw, term(), list()}
   @skip :"$situ_skip"
+  # The time is checked after this many messages: an operator that becomes slow must not keep requests waiting for many.
+  @check_every 4
 
-  @enforce_keys [:steps, :fast]
-  defstruct [:steps, :fast, :counters, sizes: false]
+  @enforce_keys [:steps]
+  defstruct [:steps, :composed, takes_message?: false, skips?: false]
 
   @typedoc """
-  The steps of a stage, and `fast`, which is true if no step keeps state. A chain that consumes a component's output
-  also has the counters of the edge into the chain, and `sizes`, which is true if message sizes are measured.
+  `composed` is the function of all operators if none keeps state. `takes_message?` is true if an operator needs the
+  envelope, `skips?` if one may drop messages.
   """
   @type t :: %__MODULE__{
           steps: steps(),
-          fast: boolean(),
-          counters: :atomics.atomics_ref() | nil,
-          sizes: boolean()
+          composed: (term(), Message.t() | nil -> term()) | nil,
+          takes_message?: boolean(),
+          skips?: boolean()
         }
 
-  @doc "Compiles the chain of `vertices`, which start at index `first` of their stage."
+  @doc "Compiles the operators of `vertices`, which start at index `first` of their stage."
   @spec compile([Situ.Graph.Vertex.t()], non_neg_integer()) :: t()
-  def compile(vertices, first) do
-    steps = vertices |> Enum.map(& &1.opts) |> build_steps(first)
-    %__MODULE__{steps: steps, fast: not stateful?(steps)}
+  def compile(vertices, first),
+    do: vertices |> Enum.map(& &1.opts) |> build_steps(first) |> compile_steps()
+
+  defp compile_steps(steps) do
+    stateful? = stateful?(steps)
+
+    %__MODULE__{
+      steps: steps,
+      composed: if(stateful?, do: nil, else: compose(steps)),
+      takes_message?: stateful? or Enum.any?(steps, &(elem(&1, 0) in [:map2, :filter2, :each2])),
+      skips?: stateful? or Enum.any?(steps, &(elem(&1, 0) in [:filter, :filter2]))
+    }
   end
 
   @doc "Updates the steps of the chain with `fun`."
   @spec update_steps(t(), (steps() -> steps())) :: t()
-  def update_steps(%__MODULE__{} = chain, fun) do
-    steps = fun.(chain.steps)
-    %{chain | steps: steps, fast: not stateful?(steps)}
-  end
+  def update_steps(%__MODULE__{steps: steps}, fun), do: compile_steps(fun.(steps))
 
   @doc """
   Replaces the step of the operator at `index`. The state of the old step is discarded, or kept with `{:keep, step}`.
@@ -77,30 +89,127 @@ defmodule Situ.Operator.Chain do
   @spec stateful?(steps()) :: boolean()
   def stateful?(steps), do: Enum.any?(steps, &(tuple_size(&1) == 4))
 
-  @doc "Runs stateless steps on a message; returns data or `skip/0`. Throws `{:situ_step, index, kind, reason, stack}`."
-  @spec run_stateless(steps(), term(), Situ.Message.t()) :: term()
-  def run_stateless([], data, _message), do: data
+  @doc """
+  Runs a batch through the chain until the monotonic time `till`. Returns the results of the messages handled, some of
+  them `skip/0`, the chain, and `:late` or the failure that ended the run before the last message.
+  """
+  @spec run_batch(t(), Batch.t(), integer()) :: {[term()], t(), :done | :late | failure()}
+  def run_batch(%__MODULE__{takes_message?: false} = chain, batch, till) do
+    {results, outcome} = run_data(Batch.data(batch), chain.composed, till, [])
+    {:lists.reverse(results), chain, outcome}
+  end
 
-  def run_stateless([{:map, fun, i} | rest], data, message) do
-    value =
+  def run_batch(%__MODULE__{} = chain, batch, till),
+    do: run_messages(Batch.messages(batch), chain, till, [])
+
+  defp run_data(data, fun, till, results) do
+    case run_some(data, fun, results, @check_every) do
+      {[], results} ->
+        {results, :done}
+
+      {{:situ_step, _, _, _, _} = failure, results} ->
+        {results, failure}
+
+      {rest, results} ->
+        if :erlang.monotonic_time() > till,
+          do: {results, :late},
+          else: run_data(rest, fun, till, results)
+    end
+  end
+
+  defp run_some([data | rest], fun, results, count) when count > 0 do
+    case fun.(data, nil) do
+      {:situ_step, _, _, _, _} = failure -> {failure, results}
+      result -> run_some(rest, fun, [result | results], count - 1)
+    end
+  end
+
+  defp run_some(rest, _fun, results, _count), do: {rest, results}
+
+  defp run_messages(messages, chain, till, results) do
+    case run_some_messages(messages, chain, results, @check_every) do
+      {[], chain, results} ->
+        {:lists.reverse(results), chain, :done}
+
+      {{:situ_step, _, _, _, _} = failure, chain, results} ->
+        {:lists.reverse(results), chain, failure}
+
+      {rest, chain, results} ->
+        if :erlang.monotonic_time() > till,
+          do: {:lists.reverse(results), chain, :late},
+          else: run_messages(rest, chain, till, results)
+    end
+  end
+
+  defp run_some_messages([message | rest], %{composed: nil} = chain, results, count)
+       when count > 0 do
+    case attempt_stateful(chain.steps, message) do
+      {:situ_step, _, _, _, _} = failure ->
+        {failure, chain, results}
+
+      {result, steps} ->
+        run_some_messages(rest, %{chain | steps: steps}, [result | results], count - 1)
+    end
+  end
+
+  defp run_some_messages([message | rest], chain, results, count) when count > 0 do
+    case chain.composed.(message.data, message) do
+      {:situ_step, _, _, _, _} = failure -> {failure, chain, results}
+      result -> run_some_messages(rest, chain, [result | results], count - 1)
+    end
+  end
+
+  defp run_some_messages(rest, chain, results, _count), do: {rest, chain, results}
+
+  defp attempt_stateful(steps, message) do
+    run_stateful(steps, message.data, message)
+  catch
+    {:situ_step, _, _, _, _} = failure -> failure
+  end
+
+  @doc """
+  Composes steps without state into one function of the data and the message, which returns data, `skip/0` or a failure.
+  """
+  @spec compose(steps()) :: (term(), Message.t() | nil -> term() | failure())
+  def compose([]), do: fn data, _message -> data end
+  def compose([step | rest]), do: compose_step(step, compose(rest))
+
+  defp compose_step({:map, fun, i}, next) do
+    fn data, message ->
       try do
         fun.(data)
       catch
-        kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
+        kind, reason -> {:situ_step, i, kind, reason, __STACKTRACE__}
+      else
+        data -> next.(data, message)
       end
-
-    run_stateless(rest, value, message)
+    end
   end
+
+  defp compose_step({kind, _fun, _i} = step, next)
+       when kind in [:map2, :filter, :filter2, :each, :each2] do
+    fn data, message ->
+      case apply_step(step, data, message) do
+        {:emit, data} -> next.(data, message)
+        skip_or_failure -> skip_or_failure
+      end
+    end
+  end
+
+  @doc "Runs stateless steps on a message; returns data or `skip/0`. Throws a failure."
+  @spec run_stateless(steps(), term(), Message.t()) :: term()
+  def run_stateless([], data, _message), do: data
 
   def run_stateless([step | rest], data, message) do
     case apply_step(step, data, message) do
       {:emit, value} -> run_stateless(rest, value, message)
       @skip -> @skip
+      failure -> throw(failure)
     end
   end
 
-  @doc "Runs steps with state on a message; returns `{data | skip, steps}`."
-  @spec run_stateful(steps(), term(), Situ.Message.t()) :: {term(), steps()}
+  @doc "Runs steps with state on a message; returns `{data | skip, steps}`. Throws a failure."
+  @spec run_stateful(steps(), term(), Message.t()) :: {term(), steps()}
   def run_stateful([], data, _message), do: {data, []}
 
   def run_stateful([{:step, fun, i, state} | rest], data, message) do
@@ -108,7 +217,7 @@ defmodule Situ.Operator.Chain do
       try do
         fun.(data, message, state)
       catch
-        kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
+        kind, reason -> throw({:situ_step, i, kind, reason, __STACKTRACE__})
       end
 
     case result do
@@ -120,7 +229,7 @@ defmodule Situ.Operator.Chain do
         {@skip, [{:step, fun, i, state} | rest]}
 
       other ->
-        throw_failure(i, :error, bad_return_error(other), [])
+        throw({:situ_step, i, :error, bad_return_error(other), []})
     end
   end
 
@@ -132,6 +241,9 @@ defmodule Situ.Operator.Chain do
 
       @skip ->
         {@skip, [step | rest]}
+
+      failure ->
+        throw(failure)
     end
   end
 
@@ -139,24 +251,19 @@ defmodule Situ.Operator.Chain do
   defmacro skip, do: @skip
 
   defp apply_step({kind, fun, i}, data, message) do
-    try do
-      case kind do
-        :map -> {:emit, fun.(data)}
-        :map2 -> {:emit, fun.(data, message)}
-        :filter -> if fun.(data), do: {:emit, data}, else: @skip
-        :filter2 -> if fun.(data, message), do: {:emit, data}, else: @skip
-        :each -> emit_data(fun.(data), data)
-        :each2 -> emit_data(fun.(data, message), data)
-      end
-    catch
-      kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
+    case kind do
+      :map -> {:emit, fun.(data)}
+      :map2 -> {:emit, fun.(data, message)}
+      :filter -> if fun.(data), do: {:emit, data}, else: @skip
+      :filter2 -> if fun.(data, message), do: {:emit, data}, else: @skip
+      :each -> emit_data(fun.(data), data)
+      :each2 -> emit_data(fun.(data, message), data)
     end
+  catch
+    kind, reason -> {:situ_step, i, kind, reason, __STACKTRACE__}
   end
 
   defp emit_data(_result, data), do: {:emit, data}
-
-  defp throw_failure(index, kind, reason, stack),
-    do: throw({:situ_step, index, kind, reason, stack})
 
   defp step_kind(kind, fun) when is_function(fun, 1), do: kind
   defp step_kind(:map, _fun), do: :map2

@@ -3,8 +3,7 @@ defmodule Situ.Ports.Counters do
   # The counters of one edge, in shared memory. The two ends write once per batch, and any process can read at any time.
   # Latency goes into a histogram with four buckets per power of two, so p99 is accurate within 25 %.
 
-  alias Situ.Message
-  alias Situ.Ports.ProgressRing
+  alias Situ.Ports.{Batch, ProgressRing}
 
   # The producer writes the first eight words, the consumer the rest: each has cache lines of its own.
   @emitted 1
@@ -87,17 +86,17 @@ defmodule Situ.Ports.Counters do
   @spec count_dropped(t(), pos_integer()) :: :ok
   def count_dropped(ref, n), do: :atomics.add(ref, @dropped, n)
 
-  @doc "Counts the sizes of messages that arrived."
-  @spec count_sizes(t(), [Message.t()]) :: :ok
-  def count_sizes(ref, messages) do
-    {n, sum, last} = Enum.reduce(messages, {0, 0, 0}, &weigh/2)
+  @doc "Counts the sizes of data that arrived."
+  @spec count_sizes(t(), [term()]) :: :ok
+  def count_sizes(ref, data) do
+    {n, sum, last} = Enum.reduce(data, {0, 0, 0}, &add_size/2)
     :atomics.put(ref, @size_last, last)
     :atomics.add(ref, @size_sum, sum)
     :atomics.add(ref, @size_count, n)
   end
 
-  defp weigh(message, {n, sum, _last}) do
-    size = Message.data_size(message)
+  defp add_size(data, {n, sum, _last}) do
+    size = Batch.data_size(data)
     {n + 1, sum + size, size}
   end
 

@@ -9,7 +9,8 @@ defmodule Situ.Ports.DemandWindow do
   # With 1,000 messages in flight, a decoder in front of a consumer that took 15 ms per image held
   # 868 MB. With the budget in bytes it held 100 MB.
   # See docs/adr/0011-demand-uses-genstage-messages.md.
-  alias Situ.{Delivery, Message}
+  alias Situ.Delivery
+  alias Situ.Ports.Batch
 
   @default Delivery.unlimited().window
   @first 8
@@ -39,12 +40,12 @@ defmodule Situ.Ports.DemandWindow do
   def new(%Delivery{kind: :throttle, window: n}) when is_integer(n), do: %__MODULE__{size: n + 1}
   def new(%Delivery{window: window}), do: %__MODULE__{size: window}
 
-  @doc "Weighs the first message of a batch, which adjusts the window."
-  @spec weigh_message(t(), Message.t()) :: t()
-  def weigh_message(%__MODULE__{weigh: false} = window, _message), do: window
+  @doc "Weighs the data of a batch's first message, which adjusts the window."
+  @spec weigh_data(t(), term()) :: t()
+  def weigh_data(%__MODULE__{weigh: false} = window, _data), do: window
 
-  def weigh_message(%__MODULE__{} = window, message) do
-    case weight(message, window.unweighed) do
+  def weigh_data(%__MODULE__{} = window, data) do
+    case weight(data, window.unweighed) do
       :unknown ->
         %{window | unweighed: window.unweighed - 1}
 
@@ -57,11 +58,11 @@ defmodule Situ.Ports.DemandWindow do
     end
   end
 
-  # Pictures and sound are weighed every time, since it costs nothing; other terms once in half a window.
-  defp weight(%Message{data: %{data: bytes}}, _left) when is_binary(bytes), do: byte_size(bytes)
-  defp weight(%Message{data: bytes}, _left) when is_binary(bytes), do: byte_size(bytes)
-  defp weight(message, left) when left <= 0, do: Message.data_size(message)
-  defp weight(_message, _left), do: :unknown
+  # Images and audio are weighed every time, since it costs nothing; other terms once in half a window.
+  defp weight(%{data: bytes}, _left) when is_binary(bytes), do: byte_size(bytes)
+  defp weight(bytes, _left) when is_binary(bytes), do: byte_size(bytes)
+  defp weight(data, left) when left <= 0, do: Batch.data_size(data)
+  defp weight(_data, _left), do: :unknown
 
   @doc "Adds `n` messages that have left the queue."
   @spec add_owed(t(), non_neg_integer()) :: t()

@@ -1,73 +1,71 @@
 defmodule Situ.Ports.Input do
   @moduledoc false
   # One connected input of a running component: its waiting messages under its policy, and the demand it owes its
-  # producer.
+  # producer. An input whose producer runs in the same process (`producer: nil`) owes none.
   #
   # Under a lossy policy there are two queues: requested messages wait here, the others at the producer (see
   # Subscriber). After a slow callback, the producer is asked for all its messages before the next one is taken, so that
   # the policy applies to everything that was emitted.
   alias Situ.{Delivery, Error, Message, Type}
   alias Situ.Delivery.Queue
-  alias Situ.Ports.{Counters, DemandWindow}
+  alias Situ.Ports.{Batch, Counters, DemandWindow}
 
   @hold_ms 20
   # Asking takes longer than this, so that it costs a part of the throughput only.
   @stale_ns 50_000
-  @nothing {0, 0, 0, 0}
+  @nothing {0, 0, 0}
 
-  @enforce_keys [:name, :tag, :producer, :window]
+  @enforce_keys [:name, :tag, :producer, :window, :counters]
   defstruct [
     :name,
     :tag,
     :producer,
     :window,
-    :type,
     :counters,
-    :queue,
+    :lossy,
     :held,
     check: :off,
     sizes: false,
     front: [],
     rear: [],
-    fresh: 0,
     handled: @nothing
   ]
 
+  @type entry :: Batch.t() | {:closed, Situ.Time.t()}
   @typedoc """
-  `front` and `rear` (reversed batches) hold waiting messages under a lossless policy, `queue` under a lossy one. `held`
-  is a timer and token while the component pauses the input. `fresh` (lossy only) is the time at which the waiting
-  messages were known to be the newest, or `:asked`, or `:sure` for the next take. `handled` holds the number of
-  messages handled since the last publication, the latency and originating time of the last one, and the ns spent.
+  `front` and `rear` (reversed) hold what waits under a lossless policy; `lossy` holds the queue of a lossy policy with
+  the time at which its messages were known to be the newest, or `:asked`, or `:sure` for the next take. `held` is a
+  timer and token while the component pauses the input. `handled` holds the number of messages handled since the last
+  publication, and the latency and originating time of the last one.
   """
   @type t :: %__MODULE__{
           name: atom(),
           tag: term(),
-          producer: pid(),
+          producer: pid() | nil,
           window: DemandWindow.t(),
-          type: Type.t(),
-          counters: Counters.t() | nil,
-          queue: Queue.t() | nil,
+          counters: Counters.t(),
+          lossy: {Queue.t(), integer() | :asked | :sure} | nil,
           held: {reference(), reference()} | nil,
-          check: :off | :first | :all,
+          check: :off | {:first | :all, Type.t()},
           sizes: boolean(),
-          front: [Queue.entry()],
-          rear: [[Message.t()]],
-          fresh: integer() | :asked | :sure,
-          handled: {non_neg_integer(), integer(), Situ.Time.t(), integer()}
+          front: [entry()],
+          rear: [entry()],
+          handled: {non_neg_integer(), integer(), Situ.Time.t()}
         }
 
-  @spec new(atom(), term(), pid(), Delivery.t(), map()) :: t()
-  def new(name, tag, producer, policy, extra) do
+  @doc "Builds an input; `opts` holds its `type`, `check`, `counters` and `sizes`."
+  @spec new(atom(), term(), pid() | nil, Delivery.t(), map()) :: t()
+  def new(name, tag, producer, policy, opts) do
     %__MODULE__{
       name: name,
       tag: tag,
       producer: producer,
-      type: extra.type,
-      check: if(extra.type == :any, do: :off, else: extra.check),
-      counters: extra.counters,
-      sizes: extra.sizes,
-      queue: if(Delivery.lossy?(policy), do: Queue.new(policy)),
-      window: DemandWindow.new(policy)
+      window: DemandWindow.new(policy),
+      counters: opts.counters,
+      sizes: opts.sizes,
+      check:
+        if(:off in [opts.check] or opts.type == :any, do: :off, else: {opts.check, opts.type}),
+      lossy: if(Delivery.lossy?(policy), do: {Queue.new(policy), 0})
     }
   end
 
@@ -75,173 +73,177 @@ defmodule Situ.Ports.Input do
   @spec request_first(t()) :: term()
   def request_first(%__MODULE__{} = input), do: ask(input, input.window.size)
 
+  defp ask(%{producer: nil}, _n), do: :ok
   defp ask(input, n), do: send(input.producer, {:"$gen_producer", {self(), input.tag}, {:ask, n}})
 
   @doc "Replaces the producer's process."
   @spec replace_producer(t(), pid()) :: t()
-  def replace_producer(%__MODULE__{} = input, pid),
-    do: %{input | producer: pid, window: DemandWindow.reset_owed(input.window), fresh: 0}
-
-  @doc "Adds a batch that arrived."
-  @spec push(t(), [Message.t()]) :: t()
-  def push(%__MODULE__{} = input, []), do: input
-
-  def push(%__MODULE__{} = input, [first | _] = messages) do
-    if input.sizes, do: Counters.count_sizes(input.counters, messages)
-    enter(%{input | window: DemandWindow.weigh_message(input.window, first)}, messages)
+  def replace_producer(%__MODULE__{lossy: lossy} = input, pid) do
+    lossy = with {queue, _fresh} <- lossy, do: {queue, 0}
+    %{input | producer: pid, window: DemandWindow.reset_owed(input.window), lossy: lossy}
   end
 
-  defp enter(%__MODULE__{queue: nil, front: [], rear: []} = input, messages),
-    do: %{input | front: messages}
+  @doc "Adds batches that arrived, and the closing mark of a producer in the same process."
+  @spec push(t(), [entry()]) :: t()
+  def push(%__MODULE__{} = input, []), do: input
 
-  defp enter(%__MODULE__{queue: nil} = input, messages),
-    do: %{input | rear: [messages | input.rear]}
+  def push(%__MODULE__{} = input, [{:closed, time} | rest]),
+    do: input |> push_closed(time) |> push(rest)
 
-  defp enter(%__MODULE__{queue: queue} = input, messages) do
-    {queue, dropped} = Queue.push_all(queue, messages)
-    drop(input, dropped)
-    owed = if queue.policy.throttle, do: dropped, else: length(messages)
-    %{input | queue: queue, window: DemandWindow.add_owed(input.window, owed)}
+  def push(%__MODULE__{} = input, [batch | rest]) do
+    if input.sizes, do: Counters.count_sizes(input.counters, Batch.data(batch))
+    window = DemandWindow.weigh_data(input.window, Batch.first_data(batch))
+    push(enter(%{input | window: window}, batch), rest)
+  end
+
+  defp enter(%{lossy: nil, front: [], rear: []} = input, batch), do: %{input | front: [batch]}
+  defp enter(%{lossy: nil} = input, batch), do: %{input | rear: [batch | input.rear]}
+
+  defp enter(%{lossy: {queue, fresh}} = input, batch) do
+    {queue, dropped} = Queue.push_all(queue, Batch.messages(batch))
+    count_dropped(input, dropped)
+    owed = if queue.policy.throttle, do: dropped, else: Batch.size(batch)
+    %{input | lossy: {queue, fresh}, window: DemandWindow.add_owed(input.window, owed)}
   end
 
   @doc "Adds all messages that the producer held back; the waiting messages are then the newest."
   @spec push_refreshed(t(), [Message.t()]) :: t()
-  def push_refreshed(%__MODULE__{queue: nil} = input, messages), do: push(input, messages)
-
   def push_refreshed(%__MODULE__{} = input, messages) do
-    window = input.window
-    %{push(input, messages) | window: window, fresh: :sure}
+    input = if messages == [], do: input, else: push(input, [messages])
+
+    with {queue, _fresh} <- input.lossy,
+         do: %{input | lossy: {queue, :sure}},
+         else: (nil -> input)
   end
 
-  @doc "Adds the closing mark."
+  @doc "Adds the closing mark, after the last message."
   @spec push_closed(t(), Situ.Time.t()) :: t()
-  def push_closed(%__MODULE__{queue: nil} = input, time) do
-    {late, rest} = input |> waiting() |> Enum.split_while(&(&1.originating_time > time))
-    drop(input, length(late))
-    %{input | front: rest ++ [{:closed, time}], rear: []}
+  def push_closed(%__MODULE__{lossy: nil} = input, time),
+    do: %{input | rear: [{:closed, time} | input.rear]}
+
+  def push_closed(%__MODULE__{lossy: {queue, fresh}} = input, time) do
+    {queue, late} = Queue.push(queue, {:closed, time})
+    count_dropped(input, length(late))
+    %{input | lossy: {queue, fresh}}
   end
 
-  def push_closed(%__MODULE__{} = input, time) do
-    {queue, dropped} = Queue.push(input.queue, {:closed, time})
-    drop(input, length(dropped))
-    %{input | queue: queue, fresh: :sure}
-  end
-
-  @doc "Returns the originating time of the head, or `:none`."
+  @doc "Returns the originating time of the next entry, or `:none`, also while the input is held."
   @spec head_time(t()) :: Situ.Time.t() | :none
-  def head_time(%__MODULE__{held: {_timer, _token}}), do: :none
-  def head_time(%__MODULE__{queue: nil, front: [head | _]}), do: time_of(head)
-  def head_time(%__MODULE__{queue: nil, rear: []}), do: :none
+  def head_time(%__MODULE__{held: held}) when held != nil, do: :none
+  def head_time(%__MODULE__{lossy: nil, front: [head | _]}), do: entry_time(head)
+  def head_time(%__MODULE__{lossy: nil, rear: []}), do: :none
+  def head_time(%__MODULE__{lossy: nil, rear: rear}), do: rear |> List.last() |> entry_time()
+  def head_time(%__MODULE__{lossy: {_queue, :asked}}), do: :none
 
-  def head_time(%__MODULE__{queue: nil} = input),
-    do: input.rear |> List.last() |> hd() |> time_of()
-
-  def head_time(%__MODULE__{fresh: :asked}), do: :none
-
-  def head_time(%__MODULE__{queue: queue}) do
+  def head_time(%__MODULE__{lossy: {queue, _fresh}}) do
     case Queue.peek(queue) do
       nil -> :none
-      entry -> time_of(entry)
+      {:closed, time} -> time
+      message -> message.originating_time
     end
   end
+
+  defp entry_time({:closed, time}), do: time
+  defp entry_time(batch), do: Batch.first_time(batch)
 
   @doc "Prepares to take a message; returns `:wait` if the producer of a lossy input is first asked for newer ones."
   @spec ensure_fresh(t()) :: {:ok | :wait, t()}
-  def ensure_fresh(%__MODULE__{queue: nil} = input), do: {:ok, input}
-  def ensure_fresh(%__MODULE__{queue: %{policy: %{throttle: true}}} = input), do: {:ok, input}
+  def ensure_fresh(%__MODULE__{lossy: {%{policy: %{throttle: true}}, _fresh}} = input),
+    do: {:ok, input}
 
-  def ensure_fresh(%__MODULE__{fresh: known} = input) do
+  def ensure_fresh(%__MODULE__{lossy: {queue, known}} = input) do
     now = :erlang.monotonic_time()
 
     if known == :sure or now - known < @stale_ns or Counters.held_count(input.counters) == 0 do
-      {:ok, %{input | fresh: now}}
+      {:ok, %{input | lossy: {queue, now}}}
     else
       Counters.request_held(input.counters)
       send(input.producer, {:situ, {:refresh, {self(), input.tag}}})
-      {:wait, %{input | fresh: :asked}}
+      {:wait, %{input | lossy: {queue, :asked}}}
     end
   end
 
-  @doc "Takes the next entry at clock time `now`."
-  @spec pop(t(), Situ.Time.t()) :: {Queue.entry() | nil, t()}
-  def pop(%__MODULE__{queue: nil, front: [head | front]} = input, _now),
-    do: {head, %{input | front: front}}
+  @doc "Takes the next message or the closing mark at clock time `now`."
+  @spec pop(t(), Situ.Time.t()) :: {Message.t() | {:closed, Situ.Time.t()} | nil, t()}
+  def pop(%__MODULE__{lossy: nil, front: [{:closed, _} = closed | front]} = input, _now),
+    do: {closed, %{input | front: front}}
 
-  def pop(%__MODULE__{queue: nil, rear: []} = input, _now), do: {nil, input}
-  def pop(%__MODULE__{queue: nil} = input, now), do: pop(turn(input), now)
+  def pop(%__MODULE__{lossy: nil, front: [batch | front]} = input, _now) do
+    {message, rest} = Batch.pop(batch)
+    {message, %{input | front: if(rest == nil, do: front, else: [rest | front])}}
+  end
 
-  def pop(%__MODULE__{} = input, now) do
-    {entry, queue, dropped} = Queue.pop(input.queue, now)
+  def pop(%__MODULE__{lossy: nil, rear: []} = input, _now), do: {nil, input}
+  def pop(%__MODULE__{lossy: nil} = input, now), do: pop(turn_queue(input), now)
+
+  def pop(%__MODULE__{lossy: {queue, fresh}} = input, now) do
+    {entry, queue, dropped} = Queue.pop(queue, now)
     n = length(dropped)
-    drop(input, n)
+    count_dropped(input, n)
     owed = if queue.policy.throttle, do: n + if(entry, do: 1, else: 0), else: 0
-    {entry, %{input | queue: queue, window: DemandWindow.add_owed(input.window, owed)}}
+    {entry, %{input | lossy: {queue, fresh}, window: DemandWindow.add_owed(input.window, owed)}}
   end
 
-  @doc "Takes up to `n` messages of a lossless input (never the closing mark)."
-  @spec take_batch(t(), pos_integer()) :: {[Message.t()], t()}
-  def take_batch(%__MODULE__{front: [], rear: []} = input, _n), do: {[], input}
-  def take_batch(%__MODULE__{front: []} = input, n), do: take_batch(turn(input), n)
+  @doc "Takes up to `n` messages of a lossless input, or `nil` if the closing mark or nothing is next."
+  @spec take_batch(t(), pos_integer() | :infinity) :: {Batch.t() | nil, t()}
+  def take_batch(%__MODULE__{front: [{:closed, _} | _]} = input, _n), do: {nil, input}
 
-  def take_batch(%__MODULE__{front: front} = input, n) do
-    {taken, rest} = split(front, n, [])
-    {taken, %{input | front: rest}}
+  def take_batch(%__MODULE__{front: [batch | front]} = input, n) do
+    {taken, rest} = Batch.split(batch, n)
+    {taken, %{input | front: if(rest == nil, do: front, else: [rest | front])}}
   end
 
-  @doc "Puts messages that were taken but not handled back at the front of the queue."
-  @spec put_back(t(), [Message.t()]) :: t()
-  def put_back(%__MODULE__{} = input, []), do: input
+  def take_batch(%__MODULE__{rear: []} = input, _n), do: {nil, input}
+  def take_batch(%__MODULE__{} = input, n), do: take_batch(turn_queue(input), n)
 
-  def put_back(%__MODULE__{queue: nil} = input, messages),
-    do: %{input | front: messages ++ input.front}
+  defp turn_queue(%{rear: rear} = input), do: %{input | front: :lists.reverse(rear), rear: []}
+
+  @doc "Puts a batch that was taken but not handled back at the front of the queue."
+  @spec put_back(t(), Batch.t()) :: t()
+  def put_back(%__MODULE__{lossy: nil} = input, batch),
+    do: %{input | front: [batch | input.front]}
 
   @doc "Discards all waiting messages; returns the time of the closing mark if there was one."
   @spec discard_all(t()) :: {Situ.Time.t() | nil, t()}
-  def discard_all(%__MODULE__{} = input) do
-    {messages, rest} = input |> waiting() |> Enum.split_while(&is_struct/1)
-    n = length(messages)
-    input = %{input | front: [], rear: [], queue: input.queue && Queue.new(input.queue.policy)}
-    closed = with([{:closed, time} | _] <- rest, do: time, else: (_ -> nil))
-    {closed, drop_taken(input, n)}
+  def discard_all(%__MODULE__{lossy: nil} = input) do
+    entries = input.front ++ :lists.reverse(input.rear)
+    {closed, batches} = Enum.split_with(entries, &is_tuple/1)
+    n = batches |> Enum.map(&Batch.size/1) |> Enum.sum()
+    {closed_time(closed), drop_taken(%{input | front: [], rear: []}, n)}
   end
 
-  @doc "Counts `n` messages as handled, the last at `time`; `publish_counts/1` publishes the counts."
-  @spec count_handled(
-          t(),
-          pos_integer(),
-          Situ.Time.t(),
-          {now :: Situ.Time.t(), busy :: integer()}
-        ) ::
-          t()
-  def count_handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
-    do: %{input | handled: {taken + n, now - time, time, spent + busy}}
+  def discard_all(%__MODULE__{lossy: {queue, fresh}} = input) do
+    {closed, messages} = queue |> Queue.to_list() |> Enum.split_with(&is_tuple/1)
+    input = %{input | lossy: {Queue.new(queue.policy), fresh}}
+    {closed_time(closed), drop_taken(input, length(messages))}
+  end
 
-  @doc "Returns whether there are no counts to publish and no demand to send."
-  @spec nothing_to_settle?(t()) :: boolean()
-  def nothing_to_settle?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
-  def nothing_to_settle?(%__MODULE__{}), do: false
+  defp closed_time([]), do: nil
+  defp closed_time([{:closed, time} | _]), do: time
 
-  @doc "Returns whether no messages wait in the input."
+  @doc "Returns whether nothing waits in the input."
   @spec empty?(t()) :: boolean()
-  def empty?(%__MODULE__{queue: nil, front: front, rear: rear}), do: front == [] and rear == []
-  def empty?(%__MODULE__{queue: %{size: size}}), do: size == 0
+  def empty?(%__MODULE__{lossy: nil, front: front, rear: rear}), do: front == [] and rear == []
+  def empty?(%__MODULE__{lossy: {queue, _fresh}}), do: queue.size == 0
 
-  @doc "Publishes the counts, and sends demand to the producer when enough is owed."
-  @spec publish_counts(t()) :: t()
-  def publish_counts(
-        %__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input
-      ) do
-    if taken > 0 do
-      Counters.count_processed(input.counters, taken, latency, busy)
+  @doc "Counts `n` messages, the last at `time`, as handled from clock time `now` on."
+  @spec count_handled(t(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: t()
+  def count_handled(%__MODULE__{handled: {handled, _, _}} = input, n, time, now),
+    do: %{input | handled: {handled + n, now - time, time}}
+
+  @doc "Publishes the counts, with `each` ns for a message, and sends demand to the producer when enough is owed."
+  @spec publish_counts(t(), integer()) :: t()
+  def publish_counts(%__MODULE__{handled: @nothing, window: %{owed: 0}} = input, _each), do: input
+
+  def publish_counts(%__MODULE__{handled: {n, latency, reached}, window: window} = input, each) do
+    if n > 0 do
+      Counters.count_processed(input.counters, n, latency, each * n)
       Counters.record_reached(input.counters, reached, reached + latency)
     end
 
-    {n, window} =
-      DemandWindow.take_owed(
-        if(input.queue == nil, do: DemandWindow.add_owed(window, taken), else: window)
-      )
-
-    if n > 0, do: ask(input, n)
+    window = if input.lossy == nil, do: DemandWindow.add_owed(window, n), else: window
+    {asked, window} = DemandWindow.take_owed(window)
+    if asked > 0, do: ask(input, asked)
     %{input | handled: @nothing, window: window}
   end
 
@@ -255,21 +257,28 @@ defmodule Situ.Ports.Input do
   @doc "Counts `n` taken messages as dropped and returns their demand to the producer."
   @spec drop_taken(t(), non_neg_integer()) :: t()
   def drop_taken(%__MODULE__{} = input, n) do
-    drop(input, n)
-    if input.queue, do: input, else: %{input | window: DemandWindow.add_owed(input.window, n)}
+    count_dropped(input, n)
+    if input.lossy, do: input, else: %{input | window: DemandWindow.add_owed(input.window, n)}
   end
 
-  defp drop(_input, 0), do: :ok
-  defp drop(input, n), do: Counters.count_dropped(input.counters, n)
+  defp count_dropped(_input, 0), do: :ok
+  defp count_dropped(input, n), do: Counters.count_dropped(input.counters, n)
+
+  @doc "Sets the function that decides which messages a lossy input never drops."
+  @spec put_guarantee(t(), (term() -> boolean())) :: t()
+  def put_guarantee(%__MODULE__{lossy: nil} = input, _keep?), do: input
+
+  def put_guarantee(%__MODULE__{lossy: {queue, fresh}} = input, keep?),
+    do: %{input | lossy: {Queue.put_guarantee(queue, keep?), fresh}}
 
   @doc "Pauses the input for 20 ms or until it is resumed; pausing it again restarts the time."
   @spec set_hold(t(), boolean()) :: t()
   def set_hold(%__MODULE__{} = input, held?) do
     with {timer, _token} <- input.held, do: Process.cancel_timer(timer)
-    %{input | held: if(held?, do: hold_timer(input.tag))}
+    %{input | held: if(held?, do: start_hold(input.tag))}
   end
 
-  defp hold_timer(tag) do
+  defp start_hold(tag) do
     token = make_ref()
     {Process.send_after(self(), {:situ_hold, tag, token}, @hold_ms), token}
   end
@@ -278,38 +287,20 @@ defmodule Situ.Ports.Input do
   @spec check_type(t(), Message.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def check_type(%__MODULE__{check: :off} = input, _message, _path), do: {:ok, input}
 
-  def check_type(%__MODULE__{type: type} = input, message, path) do
+  def check_type(%__MODULE__{check: {check, type}} = input, message, path) do
     cond do
       not Type.valid_value?(type, message.data) -> {:error, wrong_type(input, message, path)}
-      input.check == :first -> {:ok, %{input | check: :off}}
+      check == :first -> {:ok, %{input | check: :off}}
       true -> {:ok, input}
     end
   end
 
-  defp waiting(%{queue: nil, front: front, rear: []}), do: front
-
-  defp waiting(%{queue: nil, front: front, rear: rear}),
-    do: front ++ (rear |> :lists.reverse() |> :lists.append())
-
-  defp waiting(%{queue: queue}), do: Queue.to_list(queue)
-
-  defp turn(%{rear: rear} = input),
-    do: %{input | front: rear |> :lists.reverse() |> :lists.append(), rear: []}
-
-  defp split([%Message{} = message | rest], n, taken) when n > 0,
-    do: split(rest, n - 1, [message | taken])
-
-  defp split(rest, _n, taken), do: {:lists.reverse(taken), rest}
-
-  defp time_of({:closed, time}), do: time
-  defp time_of(%Message{originating_time: time}), do: time
-
-  defp wrong_type(input, message, path) do
+  defp wrong_type(%{check: {_check, type}} = input, message, path) do
     data = inspect(message.data, limit: 8, printable_limit: 80)
 
     Error.new(
       :wrong_data,
-      "#{path}.#{input.name} takes #{Type.to_string(input.type)}, got: #{data}",
+      "#{path}.#{input.name} takes #{Type.to_string(type)}, got: #{data}",
       why:
         "the stream was declared to carry it (the first message is checked; check: :all checks each)",
       fix: "correct the declared type of the stream, or convert the data before",

@@ -1,7 +1,6 @@
 defmodule Situ.Ports.Inputs do
   @moduledoc false
   # The inputs of a stage by tag: selects the next message and collects the demand for the producers.
-  alias Situ.Delivery.Queue
   alias Situ.Ports.Input
 
   # From so many on, they are kept in the order of their heads: fewer are looked through quicker.
@@ -81,17 +80,14 @@ defmodule Situ.Ports.Inputs do
   @spec put_guarantee(t(), term(), (term() -> boolean())) :: t()
   def put_guarantee(%__MODULE__{} = inputs, tag, keep?) do
     case inputs.by_tag do
-      %{^tag => %{queue: queue} = input} when queue != nil ->
-        put(inputs, %{input | queue: Queue.put_guarantee(queue, keep?)})
-
-      _ ->
-        inputs
+      %{^tag => input} -> put(inputs, Input.put_guarantee(input, keep?))
+      _ -> inputs
     end
   end
 
   @doc "Closes an input; returns whether the component was notified before it was restarted."
-  @spec close_input(t(), Input.t()) :: {boolean(), t()}
-  def close_input(%__MODULE__{told: told} = inputs, %Input{name: name, tag: tag}) do
+  @spec close_input(t(), atom(), term()) :: {boolean(), t()}
+  def close_input(%__MODULE__{told: told} = inputs, name, tag) do
     inputs = delete(inputs, tag)
     {name in told, %{inputs | closed: [name | inputs.closed], told: told -- [name]}}
   end
@@ -142,38 +138,23 @@ defmodule Situ.Ports.Inputs do
   def taken_count(%__MODULE__{by_tag: by_tag}),
     do: by_tag |> Enum.map(fn {_, input} -> Input.taken_count(input) end) |> Enum.sum()
 
-  @doc "Returns the largest number of messages that one input has handled since the last settling."
-  @spec max_handled(t()) :: non_neg_integer()
-  def max_handled(%__MODULE__{touched: touched, by_tag: by_tag}), do: handled(touched, by_tag, 0)
+  @doc "Publishes the counts of all changed inputs and sends demand; `spent` is how many messages took how many ns."
+  @spec settle_touched(t(), {non_neg_integer(), integer()}) :: t()
+  def settle_touched(%__MODULE__{touched: []} = inputs, _spent), do: inputs
 
-  defp handled([], _by_tag, most), do: most
+  def settle_touched(%__MODULE__{touched: touched} = inputs, {n, ns}),
+    do: settle(touched, %{inputs | touched: []}, div(ns, max(n, 1)))
 
-  defp handled([tag | rest], by_tag, most) do
-    case by_tag do
-      %{^tag => %{handled: {n, _, _, _}}} -> handled(rest, by_tag, max(n, most))
-      _ -> handled(rest, by_tag, most)
-    end
-  end
+  defp settle([], inputs, _each), do: inputs
 
-  @doc "Publishes the counts of all changed inputs and sends demand."
-  @spec settle_touched(t()) :: t()
-  def settle_touched(%__MODULE__{touched: []} = inputs), do: inputs
-  def settle_touched(%__MODULE__{tags: [_] = tags} = inputs), do: settle(tags, inputs)
-
-  def settle_touched(%__MODULE__{touched: touched} = inputs),
-    do: settle(touched, %{inputs | touched: []})
-
-  defp settle([], inputs), do: inputs
-
-  defp settle([tag | rest], %{by_tag: by_tag} = inputs) do
+  defp settle([tag | rest], %{by_tag: by_tag} = inputs, each) do
     case by_tag do
       %{^tag => input} ->
-        if Input.nothing_to_settle?(input),
-          do: settle(rest, inputs),
-          else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.publish_counts(input)}})
+        input = Input.publish_counts(input, each)
+        settle(rest, %{inputs | by_tag: %{by_tag | tag => input}}, each)
 
       _has_closed ->
-        settle(rest, inputs)
+        settle(rest, inputs, each)
     end
   end
 

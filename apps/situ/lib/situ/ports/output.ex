@@ -1,10 +1,9 @@
 defmodule Situ.Ports.Output do
   @moduledoc false
-  # One output of a running component: its posting state (see Posting), messages that wait for their time, and
-  # subscribers. Only `flush/1`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
-  alias Situ.Delivery.Queue
+  # One output of a running component: what it has posted (see PostingRules), messages that wait for their time, and
+  # its subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
   alias Situ.Message
-  alias Situ.Ports.Subscriber
+  alias Situ.Ports.{Batch, Subscriber}
 
   @nothing {[], []}
 
@@ -13,54 +12,58 @@ defmodule Situ.Ports.Output do
     :port,
     :last_time,
     :last_creation,
-    :closing,
     :wanted,
-    :mark,
     :resume,
+    :ending,
     seq: 0,
-    posted: 0,
+    repeated: 0,
     pending: [],
     pending_n: 0,
     future: @nothing,
-    closed: false,
-    waits: false,
-    repeated: 0,
     subs: []
   ]
 
   @typedoc "An item that waits for its time: data with its time, or a message with its own envelope."
   @type held :: {Situ.Time.t(), term()} | Message.t()
-  @typedoc "The constant part: name, the component's path, the stream's id, and the rule for equal times."
+  @typedoc """
+  The constant part: name, the component's path, the stream's id, the rule for equal times, and where the progress is
+  recorded for a process that replaces a dead one.
+  """
   @type port_of :: %{
           name: atom(),
           path: String.t(),
           source_id: non_neg_integer(),
-          same_time: :error | :drop | :nudge
+          same_time: :error | :drop | :nudge,
+          mark: {marks(), non_neg_integer()} | nil
         }
+  @typedoc """
+  A batch, or messages that are still being added: times and data (reversed) of one creation time, or messages with
+  their own envelopes (reversed).
+  """
+  @type part ::
+          Batch.t()
+          | {:open, created :: Situ.Time.t(), first_id :: non_neg_integer(),
+             base :: Situ.Time.t(), times :: [integer()], data :: [term()], pos_integer()}
+          | {:own, [Message.t()]}
 
   @typedoc """
-  `last_time`, `last_creation` and `seq` belong to the last message created; `posted` is the clock at that moment.
-  `pending` is sent with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
-  `closing` is the closing time; `closed` is true once all subscribers know it. `waits` withholds everything until the
-  pipeline knows that the source ends. Messages up to `resume` were posted before a restart; `repeated` counts them.
-  `wanted` is for nudged times (see Posting). `mark` is the shared memory of `new_marks/1`.
+  `last_time`, `last_creation` and `seq` belong to the last message posted. `pending` is sent with the next flush,
+  newest first; `future` (front and reversed rear) waits for the clock. `ending` holds the closing time: `:withheld`
+  until the pipeline knows that the source ends, `:closed` once all subscribers know it. Messages up to `resume` were
+  posted before a restart; `repeated` counts them. `wanted` is for nudged times (see PostingRules).
   """
   @type t :: %__MODULE__{
           port: port_of(),
           last_time: Situ.Time.t() | nil,
           last_creation: Situ.Time.t() | nil,
-          closing: Situ.Time.t() | nil,
           wanted: {Situ.Time.t(), Situ.Time.t()} | nil,
-          mark: {marks(), non_neg_integer()} | nil,
           resume: Situ.Time.t() | nil,
+          ending: nil | {:withheld | :closing | :closed, Situ.Time.t() | nil},
           seq: non_neg_integer(),
-          posted: Situ.Time.t(),
-          pending: [Message.t()],
+          repeated: non_neg_integer(),
+          pending: [part()],
           pending_n: non_neg_integer(),
           future: {[held()], [held()]},
-          closed: boolean(),
-          waits: boolean(),
-          repeated: non_neg_integer(),
           subs: [Subscriber.t()]
         }
   @type marks :: :atomics.atomics_ref()
@@ -68,7 +71,7 @@ defmodule Situ.Ports.Output do
   @doc "Builds an output without subscribers."
   @spec new(atom(), String.t(), non_neg_integer(), :error | :drop | :nudge) :: t()
   def new(name, path, source_id, same_time \\ :error) do
-    port = %{name: name, path: path, source_id: source_id, same_time: same_time}
+    port = %{name: name, path: path, source_id: source_id, same_time: same_time, mark: nil}
     %__MODULE__{port: port}
   end
 
@@ -83,8 +86,8 @@ defmodule Situ.Ports.Output do
   @spec attach_marks(t(), marks() | nil, non_neg_integer()) :: t()
   def attach_marks(output, nil, _index), do: output
 
-  def attach_marks(%__MODULE__{} = output, marks, index) do
-    output = %{output | mark: {marks, index}}
+  def attach_marks(%__MODULE__{port: port} = output, marks, index) do
+    output = %{output | port: %{port | mark: {marks, index * 3}}}
 
     case :atomics.get(marks, index * 3 + 3) do
       0 ->
@@ -97,29 +100,12 @@ defmodule Situ.Ports.Output do
     end
   end
 
-  @doc "Records `message` as the last one sent."
-  @spec note_sent(t(), Message.t()) :: :ok
-  def note_sent(%__MODULE__{mark: nil}, _message), do: :ok
+  defp record_progress(%{mark: nil}, _stamp), do: :ok
 
-  def note_sent(%__MODULE__{mark: {marks, index}}, message) do
-    :atomics.put(marks, index * 3 + 1, message.originating_time)
-    :atomics.put(marks, index * 3 + 2, message.creation_time)
-    :atomics.put(marks, index * 3 + 3, message.sequence_id)
-  end
-
-  @doc "Sets the function that decides which messages the subscriber `tag` never loses."
-  @spec put_guarantee(t(), term(), (term() -> boolean())) :: t()
-  def put_guarantee(%__MODULE__{} = output, tag, keep?) do
-    subs =
-      Enum.map(output.subs, fn
-        %{tag: ^tag, queue: queue} = sub when queue != nil ->
-          %{sub | queue: Queue.put_guarantee(queue, keep?)}
-
-        sub ->
-          sub
-      end)
-
-    %{output | subs: subs}
+  defp record_progress(%{mark: {marks, base}}, {time, creation, id}) do
+    :atomics.put(marks, base + 1, time)
+    :atomics.put(marks, base + 2, creation)
+    :atomics.put(marks, base + 3, id)
   end
 
   @doc "Marks messages up to the last time as already posted, because the component restarts."
@@ -133,7 +119,7 @@ defmodule Situ.Ports.Output do
   @doc "Returns the time of the next held message, or `nil`."
   @spec next_time(t()) :: Situ.Time.t() | nil
   def next_time(%__MODULE__{future: {[], _}}), do: nil
-  def next_time(%__MODULE__{future: {[first | _], _}}), do: time_of(first)
+  def next_time(%__MODULE__{future: {[first | _], _}}), do: held_time(first)
 
   @doc "Holds an item back until its time."
   @spec hold_item(t(), held()) :: t()
@@ -148,36 +134,33 @@ defmodule Situ.Ports.Output do
   def pop_due(%__MODULE__{future: {[], _}}, _now), do: nil
 
   def pop_due(%__MODULE__{future: {[first | front], rear}} = output, now) do
-    if time_of(first) <= now, do: {first, %{output | future: balance(front, rear)}}
+    future = if front == [], do: {:lists.reverse(rear), []}, else: {front, rear}
+    if held_time(first) <= now, do: {first, %{output | future: future}}
   end
 
-  defp balance([], rear), do: {:lists.reverse(rear), []}
-  defp balance(front, rear), do: {front, rear}
-
-  @doc "Discards held messages later than `final`."
-  @spec drop_held_after(t(), Situ.Time.t()) :: t()
+  @doc "Discards held messages later than `final`, or all with `:none`."
+  @spec drop_held_after(t(), Situ.Time.t() | :none) :: t()
   def drop_held_after(%__MODULE__{future: @nothing} = output, _final), do: output
+  def drop_held_after(%__MODULE__{} = output, :none), do: %{output | future: @nothing}
 
-  def drop_held_after(%__MODULE__{future: {front, rear}} = output, final),
-    do: %{
-      output
-      | future: {Enum.filter(front ++ Enum.reverse(rear), &(time_of(&1) <= final)), []}
-    }
+  def drop_held_after(%__MODULE__{future: {front, rear}} = output, final) do
+    kept = Enum.filter(front ++ Enum.reverse(rear), &(held_time(&1) <= final))
+    %{output | future: {kept, []}}
+  end
 
-  @doc "Discards all held messages."
-  @spec drop_all_held(t()) :: t()
-  def drop_all_held(%__MODULE__{} = output), do: %{output | future: @nothing}
+  defp held_time({time, _data}), do: time
+  defp held_time(%Message{originating_time: time}), do: time
 
-  @doc "Returns how many messages may be posted: the smallest demand of its subscribers minus buffered messages."
+  @doc "Returns how many messages may be posted: the smallest demand of its subscribers minus pending messages."
   @spec available_room(t()) :: integer() | :infinity
   def available_room(%__MODULE__{subs: []}), do: :infinity
-  def available_room(%__MODULE__{closed: true}), do: :infinity
+  def available_room(%__MODULE__{ending: {:closed, _}}), do: :infinity
 
   def available_room(%__MODULE__{subs: [sub], pending_n: n}),
-    do: less(Subscriber.free_capacity(sub), n)
+    do: subtract(Subscriber.free_capacity(sub), n)
 
   def available_room(%__MODULE__{subs: subs, pending_n: n}),
-    do: subs |> least_capacity(:infinity) |> less(n)
+    do: subs |> least_capacity(:infinity) |> subtract(n)
 
   # Below one there is no room, however little the others have.
   defp least_capacity(_subs, least) when least < 1, do: least
@@ -186,96 +169,147 @@ defmodule Situ.Ports.Output do
   defp least_capacity([sub | rest], least),
     do: least_capacity(rest, min(Subscriber.free_capacity(sub), least))
 
-  @doc "Sets whether pending messages and the closing mark are withheld for now."
-  @spec set_waiting(t(), boolean()) :: t()
-  def set_waiting(%__MODULE__{} = output, waits?), do: %{output | waits: waits?}
+  defp subtract(:infinity, _n), do: :infinity
+  defp subtract(room, n), do: room - n
 
-  @doc "Adds a reversed batch that a chain has built, newest first."
-  @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
-  def push_reversed(%__MODULE__{pending: []} = output, reversed, n),
-    do: %{output | pending: reversed, pending_n: n}
+  @doc "Returns the creation time of a message that is posted at `now`: creation times never go backwards."
+  @spec creation_time(t(), Situ.Time.t()) :: Situ.Time.t()
+  def creation_time(%__MODULE__{last_creation: nil}, now), do: now
+  def creation_time(%__MODULE__{last_creation: last}, now), do: max(now, last)
 
-  def push_reversed(%__MODULE__{} = output, reversed, n),
-    do: %{output | pending: reversed ++ output.pending, pending_n: output.pending_n + n}
+  @doc "Posts data with times relative to `base` at clock time `now`, without checking the times."
+  @spec post_batch(t(), {Situ.Time.t(), [integer()], [term()]}, Situ.Time.t()) :: t()
+  def post_batch(%__MODULE__{} = output, {_base, [], []}, _now), do: output
 
-  @doc "Delivers pending messages to the subscribers within their demand, and the closing marks that follow them."
-  @spec flush(t()) :: t()
-  def flush(%__MODULE__{pending: [], closing: nil} = output), do: output
-  def flush(%__MODULE__{waits: true} = output), do: output
-  def flush(%__MODULE__{pending: []} = output), do: finish(output)
-  def flush(%__MODULE__{subs: []} = output), do: finish(%{output | pending: [], pending_n: 0})
+  def post_batch(%__MODULE__{seq: seq} = output, {base, times, data}, now) do
+    n = length(data)
+    created = creation_time(output, now)
+    output = %{output | seq: seq + n, last_creation: created}
 
-  def flush(%__MODULE__{pending: [last | _], pending_n: n, posted: posted} = output) do
-    messages = if n == 1, do: output.pending, else: :lists.reverse(output.pending)
-    note_sent(output, last)
-    time = last.originating_time
-    ages = {time, last.creation_time - time, posted - time}
-    subs = give(output.subs, messages, n, ages, posted)
+    if output.subs == [] do
+      output
+    else
+      batch = %Batch{
+        source_id: output.port.source_id,
+        created: created,
+        first_id: seq + 1,
+        base: base,
+        times: times,
+        data: data,
+        size: n
+      }
+
+      %{output | pending: [batch | output.pending], pending_n: output.pending_n + n}
+    end
+  end
+
+  @doc "Delivers pending messages at clock time `now` to the subscribers within their demand, and the closing mark."
+  @spec flush(t(), Situ.Time.t()) :: t()
+  def flush(%__MODULE__{ending: {:withheld, _time}} = output, _now), do: output
+  def flush(%__MODULE__{pending: []} = output, _now), do: finish(output)
+
+  def flush(%__MODULE__{subs: []} = output, _now),
+    do: finish(%{output | pending: [], pending_n: 0})
+
+  def flush(%__MODULE__{pending_n: n} = output, now) do
+    batches = close_parts(output.pending, output.port.source_id, [])
+    {time, creation, _id} = stamp = Batch.last_stamp(:lists.last(batches))
+    record_progress(output.port, stamp)
+    subs = deliver_all(output.subs, batches, n, {time, creation - time}, now)
     finish(%{output | pending: [], pending_n: 0, subs: subs})
   end
 
-  defp give([], _messages, _n, _ages, _now), do: []
+  defp close_parts([], _source_id, batches), do: batches
 
-  defp give([sub | rest], messages, n, ages, now),
+  defp close_parts([{:open, created, id, base, times, data, n} | rest], source_id, batches) do
+    batch = %Batch{
+      source_id: source_id,
+      created: created,
+      first_id: id,
+      base: base,
+      times: :lists.reverse(times),
+      data: :lists.reverse(data),
+      size: n
+    }
+
+    close_parts(rest, source_id, [batch | batches])
+  end
+
+  defp close_parts([{:own, messages} | rest], source_id, batches),
+    do: close_parts(rest, source_id, [:lists.reverse(messages) | batches])
+
+  defp close_parts([batch | rest], source_id, batches),
+    do: close_parts(rest, source_id, [batch | batches])
+
+  defp deliver_all([], _batches, _n, _latency, _now), do: []
+
+  defp deliver_all([sub | rest], batches, n, latency, now),
     do: [
-      Subscriber.deliver_messages(sub, messages, n, ages, now)
-      | give(rest, messages, n, ages, now)
+      Subscriber.deliver_batches(sub, batches, n, latency, now)
+      | deliver_all(rest, batches, n, latency, now)
     ]
 
   @doc "Adds demand of the subscriber with this pid and tag. Returns `:error` for an unknown subscriber."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
-  def add_demand(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
-    do: {:ok, finish(%{output | subs: [Subscriber.add_demand(sub, n)]})}
+  def add_demand(%__MODULE__{} = output, from, n),
+    do: update_subscriber(output, from, &Subscriber.add_demand(&1, n))
 
-  def add_demand(%__MODULE__{subs: subs} = output, from, n) do
-    case ask_one(subs, from, n) do
+  @doc "Sends a subscriber with a lossy policy the newest messages immediately, whatever its demand."
+  @spec refresh_subscriber(t(), {pid(), term()}) :: {:ok, t()} | :error
+  def refresh_subscriber(%__MODULE__{} = output, from),
+    do: update_subscriber(output, from, &Subscriber.deliver_newest/1)
+
+  defp update_subscriber(%{subs: subs} = output, from, fun) do
+    case update_one(subs, from, fun) do
       :error -> :error
       subs -> {:ok, finish(%{output | subs: subs})}
     end
   end
 
-  defp ask_one([], _from, _n), do: :error
+  defp update_one([], _from, _fun), do: :error
+  defp update_one([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]
 
-  defp ask_one([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, n),
-    do: [Subscriber.add_demand(sub, n) | rest]
-
-  defp ask_one([sub | rest], from, n) do
-    case ask_one(rest, from, n) do
-      :error -> :error
-      rest -> [sub | rest]
-    end
+  defp update_one([sub | rest], from, fun) do
+    with [_ | _] = rest <- update_one(rest, from, fun), do: [sub | rest]
   end
 
-  @doc "Sends a subscriber with a lossy policy the newest messages immediately, whatever its demand."
-  @spec refresh_subscriber(t(), {pid(), term()}) :: t()
-  def refresh_subscriber(%__MODULE__{} = output, from),
-    do: finish(%{output | subs: update(output.subs, from, &Subscriber.deliver_newest/1)})
+  @doc "Updates every subscriber with this tag."
+  @spec map_tagged(t(), term(), (Subscriber.t() -> Subscriber.t())) :: t()
+  def map_tagged(%__MODULE__{subs: subs} = output, tag, fun),
+    do: %{output | subs: Enum.map(subs, &if(&1.tag == tag, do: fun.(&1), else: &1))}
 
-  @doc "Returns whether a subscriber has this pid and tag."
-  @spec has_subscriber?(t(), {pid(), term()}) :: boolean()
-  def has_subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
-
-  defp among?([], _from), do: false
-  defp among?([%{tag: tag, pid: pid} | _], {pid, tag}), do: true
-  defp among?([_sub | rest], from), do: among?(rest, from)
-
-  defp update([], _from, _fun), do: []
-  defp update([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]
-  defp update([sub | rest], from, fun), do: [sub | update(rest, from, fun)]
-
-  @doc "Closes the output; the closing mark is sent after all messages before it."
+  @doc "Closes the output; the next flush sends the closing mark after all messages before it."
   @spec close(t(), Situ.Time.t()) :: t()
-  def close(%__MODULE__{closing: nil} = output, time) do
-    output = drop_held_after(%{output | closing: time}, time)
-    flush(%{output | subs: Enum.map(output.subs, &Subscriber.drop_after(&1, time))})
+  def close(%__MODULE__{ending: ending} = output, time) when ending in [nil, {:withheld, nil}] do
+    how = if ending == nil, do: :closing, else: :withheld
+    output = drop_held_after(%{output | ending: {how, time}}, time)
+    %{output | subs: Enum.map(output.subs, &Subscriber.drop_after(&1, time))}
   end
 
   def close(%__MODULE__{} = output, _time), do: output
 
+  @doc "Sets whether pending messages and the closing mark are withheld for now."
+  @spec set_withheld(t(), boolean()) :: t()
+  def set_withheld(%__MODULE__{ending: nil} = output, true),
+    do: %{output | ending: {:withheld, nil}}
+
+  def set_withheld(%__MODULE__{ending: {:closing, time}} = output, true),
+    do: %{output | ending: {:withheld, time}}
+
+  def set_withheld(%__MODULE__{ending: {:withheld, time}} = output, false),
+    do: %{output | ending: time && {:closing, time}}
+
+  def set_withheld(%__MODULE__{} = output, _withheld?), do: output
+
+  @doc "Returns the closing time, or `nil` while the output is open."
+  @spec closing_time(t()) :: Situ.Time.t() | nil
+  def closing_time(%__MODULE__{ending: nil}), do: nil
+  def closing_time(%__MODULE__{ending: {_how, time}}), do: time
+
   @doc "Adds a subscriber to a running output; a closed output sends the closing mark instead."
   @spec subscribe(t(), Subscriber.t()) :: t()
-  def subscribe(%__MODULE__{closed: true} = output, sub) do
-    Subscriber.send_close(sub, output.closing)
+  def subscribe(%__MODULE__{ending: {:closed, time}} = output, sub) do
+    Subscriber.send_close(sub, time)
     output
   end
 
@@ -283,32 +317,21 @@ defmodule Situ.Ports.Output do
 
   @doc "Removes subscribers and the messages that wait for them."
   @spec cancel_subscribers(t(), (Subscriber.t() -> boolean())) :: t()
-  def cancel_subscribers(%__MODULE__{} = output, which?) do
-    finish(%{output | subs: Enum.reject(output.subs, which?)})
-  end
+  def cancel_subscribers(%__MODULE__{} = output, which?),
+    do: finish(%{output | subs: Enum.reject(output.subs, which?)})
 
   @doc "Returns how many messages wait for demand."
   @spec buffered_count(t()) :: non_neg_integer()
   def buffered_count(%__MODULE__{} = output),
     do: Enum.reduce(output.subs, output.pending_n, &max(&1.size, &2))
 
-  defp finish(%{closing: nil} = output), do: output
-  defp finish(%{closed: true} = output), do: output
-  defp finish(%{waits: true} = output), do: output
-  defp finish(%{future: future} = output) when future != @nothing, do: output
-  defp finish(%{pending: [_ | _]} = output), do: flush(output)
-
-  defp finish(%{subs: subs} = output) do
-    {done, waiting} = Enum.split_with(subs, &(&1.size == 0))
-    Enum.each(done, &Subscriber.send_close(&1, output.closing))
-    %{output | subs: waiting, closed: waiting == []}
+  # Sends the closing mark to the subscribers that have received all their messages.
+  defp finish(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
+    {done, waiting} = Enum.split_with(output.subs, &(&1.size == 0))
+    Enum.each(done, &Subscriber.send_close(&1, time))
+    ending = if waiting == [], do: {:closed, time}, else: output.ending
+    %{output | subs: waiting, ending: ending}
   end
 
-  defp less(:infinity, _n), do: :infinity
-  defp less(room, n), do: room - n
-
-  @doc "Returns the originating time of a held item."
-  @spec time_of(held()) :: Situ.Time.t()
-  def time_of({time, _data}), do: time
-  def time_of(%Message{originating_time: time}), do: time
+  defp finish(output), do: output
 end

@@ -1,50 +1,26 @@
 defmodule Situ.Ports.Outputs do
   @moduledoc false
-  # The outputs of a stage: those of its component or chain and, if light operators follow a component in the same
-  # process, the output of the last operator, `tail`. In that case the component's own output has no subscribers.
+  # The outputs of one step of a stage, by name. With `demand: :accumulate` nothing is sent, whatever the demand, until
+  # it is `:forward`.
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Output, PostingRules, Subscriber}
 
-  defstruct own: [], tail: nil, left: [], demand: :forward
+  defstruct own: [], demand: :forward
 
-  @typedoc """
-  `left` holds messages that the operators after the component have not handled yet; it emits no more until then. With
-  `demand: :accumulate` nothing is sent, whatever the demand, until it is `:forward`.
-  """
-  @type t :: %__MODULE__{
-          own: [{atom(), Output.t()}],
-          tail: Output.t() | nil,
-          left: [Situ.Message.t()],
-          demand: :forward | :accumulate
-        }
+  @type t :: %__MODULE__{own: [{atom(), Output.t()}], demand: :forward | :accumulate}
 
-  @doc "Builds the outputs of the vertices of one stage, with the progress recorded in `marks`."
-  @spec new([Vertex.t()], Output.marks() | nil) :: t()
-  def new([%{module: :operator} | _] = vertices, marks), do: new(List.last(vertices), nil, marks)
-  def new([component], marks), do: new(component, nil, marks)
-  def new([component | operators], marks), do: new(component, List.last(operators), marks)
-
-  defp new(component, last, marks) do
-    own = component |> outputs() |> Enum.sort_by(&elem(&1, 0)) |> Enum.with_index()
-
+  @doc "Builds the outputs of a vertex; those from `first` on in `marks` hold their recorded progress."
+  @spec new(Vertex.t(), Output.marks() | nil, non_neg_integer()) :: t()
+  def new(vertex, marks, first) do
     own =
-      for {{name, output}, index} <- own, do: {name, Output.attach_marks(output, marks, index)}
-
-    tail =
-      with %Vertex{} <- last do
-        [{_name, output}] = outputs(last)
-        Output.attach_marks(output, marks, length(own))
+      for {{name, port}, index} <- vertex.outputs |> Enum.sort() |> Enum.with_index(first) do
+        output = Output.new(name, vertex.path, port.source_id, vertex.on_same_time)
+        {name, Output.attach_marks(output, marks, index)}
       end
 
-    %__MODULE__{own: own, tail: tail}
+    %__MODULE__{own: own}
   end
 
-  defp outputs(vertex) do
-    for {name, port} <- vertex.outputs,
-        do: {name, Output.new(name, vertex.path, port.source_id, vertex.on_same_time)}
-  end
-
-  @doc "Returns the output that the component emits on."
   @spec fetch(t(), atom()) :: {:ok, Output.t()} | :error
   def fetch(%__MODULE__{own: own}, name) do
     case List.keyfind(own, name, 0) do
@@ -56,7 +32,6 @@ defmodule Situ.Ports.Outputs do
   @spec list_names(t()) :: [atom()]
   def list_names(%__MODULE__{own: own}), do: Enum.map(own, &elem(&1, 0))
 
-  @doc "Replaces an output of the component."
   @spec put(t(), Output.t()) :: t()
   def put(%__MODULE__{own: [{name, _}]} = outputs, %{port: %{name: name}} = output),
     do: %{outputs | own: [{name, output}]}
@@ -64,94 +39,77 @@ defmodule Situ.Ports.Outputs do
   def put(%__MODULE__{own: own} = outputs, %{port: %{name: name}} = output),
     do: %{outputs | own: List.keyreplace(own, name, 0, {name, output})}
 
-  @doc "Returns the output that a chain emits on."
-  @spec last_output(t()) :: Output.t()
-  def last_output(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
-  def last_output(%__MODULE__{tail: tail}), do: tail
-
-  @spec put_last(t(), Output.t()) :: t()
-  def put_last(%__MODULE__{tail: nil} = outputs, output), do: put(outputs, output)
-  def put_last(%__MODULE__{} = outputs, output), do: %{outputs | tail: output}
-
-  @doc "Returns the outputs that others can subscribe to."
-  @spec open_outputs(t()) :: [{atom(), Output.t()}]
-  def open_outputs(%__MODULE__{tail: nil, own: own}), do: own
-  def open_outputs(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]
-
   @spec list_all(t()) :: [Output.t()]
-  def list_all(%__MODULE__{own: own, tail: nil}), do: Enum.map(own, &elem(&1, 1))
-  def list_all(%__MODULE__{own: own, tail: tail}), do: Enum.map(own, &elem(&1, 1)) ++ [tail]
+  def list_all(%__MODULE__{own: own}), do: for({_, output} <- own, do: output)
 
   @spec map_outputs(t(), (Output.t() -> Output.t())) :: t()
-  def map_outputs(%__MODULE__{own: [{name, output}], tail: nil} = outputs, fun),
+  def map_outputs(%__MODULE__{own: [{name, output}]} = outputs, fun),
     do: %{outputs | own: [{name, fun.(output)}]}
 
-  def map_outputs(%__MODULE__{own: own, tail: tail} = outputs, fun) do
-    own = for {name, output} <- own, do: {name, fun.(output)}
-    %{outputs | own: own, tail: tail && fun.(tail)}
-  end
+  def map_outputs(%__MODULE__{own: own} = outputs, fun),
+    do: %{outputs | own: for({name, output} <- own, do: {name, fun.(output)})}
 
-  @doc "Updates an output that others can subscribe to."
-  @spec update_open(t(), atom(), (Output.t() -> Output.t())) :: t()
-  def update_open(%__MODULE__{tail: nil} = outputs, name, fun) do
-    {:ok, output} = fetch(outputs, name)
-    put(outputs, fun.(output))
-  end
-
-  def update_open(%__MODULE__{tail: tail} = outputs, _name, fun),
-    do: %{outputs | tail: fun.(tail)}
-
-  @doc "Returns how many messages may be sent now."
+  @doc "Returns how many messages may be posted now."
   @spec available_room(t()) :: integer() | :infinity
   def available_room(%__MODULE__{demand: :accumulate}), do: 0
+  def available_room(%__MODULE__{own: [{_, output}]}), do: Output.available_room(output)
+  def available_room(%__MODULE__{own: own}), do: least_room(own, :infinity)
 
-  def available_room(%__MODULE__{tail: nil, own: [{_, output}]}),
-    do: Output.available_room(output)
+  defp least_room([], room), do: room
 
-  def available_room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
-  def available_room(%__MODULE__{left: [], tail: tail}), do: Output.available_room(tail)
-  def available_room(%__MODULE__{}), do: 0
+  defp least_room([{_, output} | rest], room),
+    do: least_room(rest, min(room, Output.available_room(output)))
 
-  defp room([], room), do: room
-  defp room([{_, output} | rest], room), do: room(rest, min(room, Output.available_room(output)))
+  @doc "Returns how many posted messages wait for the next flush, at most, at one output."
+  @spec pending_count(t()) :: non_neg_integer()
+  def pending_count(%__MODULE__{own: [{_, %{pending_n: n}}]}), do: n
+  def pending_count(%__MODULE__{own: own}), do: most_pending(own, 0)
 
-  @spec flush(t()) :: t()
-  def flush(%__MODULE__{tail: nil, own: []} = outputs), do: outputs
-  def flush(%__MODULE__{demand: :accumulate} = outputs), do: outputs
+  defp most_pending([], most), do: most
+  defp most_pending([{_, %{pending_n: n}} | rest], most), do: most_pending(rest, max(n, most))
 
-  def flush(%__MODULE__{tail: nil, own: [{name, output}]} = outputs) do
-    case Output.flush(output) do
-      ^output -> outputs
-      output -> %{outputs | own: [{name, output}]}
-    end
+  @doc "Sends pending messages and closing marks at clock time `now`."
+  @spec flush(t(), Situ.Time.t()) :: t()
+  def flush(%__MODULE__{own: []} = outputs, _now), do: outputs
+  def flush(%__MODULE__{demand: :accumulate} = outputs, _now), do: outputs
+
+  def flush(%__MODULE__{own: [{_, %{pending: [], ending: nil}}]} = outputs, _now), do: outputs
+  def flush(%__MODULE__{} = outputs, now), do: map_outputs(outputs, &Output.flush(&1, now))
+
+  @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
+  @spec take_local(t()) :: {[{term(), [Situ.Ports.Batch.t()]}], t()}
+  def take_local(%__MODULE__{} = outputs) do
+    taken =
+      for {_, %{subs: subs}} <- outputs.own,
+          %{demand: :local, rear: [_ | _]} = sub <- subs,
+          do: {sub.tag, sub |> Subscriber.take_buffer() |> elem(0)}
+
+    outputs =
+      Enum.reduce(taken, outputs, fn {tag, _}, outputs ->
+        map_outputs(outputs, &Output.map_tagged(&1, tag, fn sub -> %{sub | rear: []} end))
+      end)
+
+    {taken, outputs}
   end
 
-  def flush(%__MODULE__{} = outputs), do: map_outputs(outputs, &Output.flush/1)
+  @doc "Sets whether messages are withheld until the pipeline knows the end; `flush/2` sends them after that."
+  @spec set_withheld(t(), boolean()) :: t()
+  def set_withheld(%__MODULE__{} = outputs, withheld?),
+    do: map_outputs(outputs, &Output.set_withheld(&1, withheld?))
 
-  @doc "Sets whether messages are withheld until the pipeline knows the end; `flush/1` sends them after that."
-  @spec set_waiting(t(), boolean()) :: t()
-  def set_waiting(%__MODULE__{} = outputs, waits?),
-    do: map_outputs(outputs, &Output.set_waiting(&1, waits?))
-
-  @spec any_waiting?(t()) :: boolean()
-  def any_waiting?(%__MODULE__{} = outputs), do: outputs |> list_all() |> Enum.any?(& &1.waits)
+  @spec any_withheld?(t()) :: boolean()
+  def any_withheld?(%__MODULE__{own: own}),
+    do: Enum.any?(own, &match?({_, %{ending: {:withheld, _}}}, &1))
 
   @doc "Returns whether messages wait for their time."
   @spec any_held?(t()) :: boolean()
-  def any_held?(%__MODULE__{} = outputs),
-    do: outputs |> list_all() |> Enum.any?(&Output.messages_held?/1)
+  def any_held?(%__MODULE__{own: own}), do: Enum.any?(own, &Output.messages_held?(elem(&1, 1)))
 
-  @doc "Returns when the first held message is due."
+  @doc "Returns when the first held message is due, or `nil`."
   @spec next_time(t()) :: Situ.Time.t() | nil
-  def next_time(%__MODULE__{} = outputs) do
-    Enum.reduce(list_all(outputs), nil, fn output, first ->
-      case Output.next_time(output) do
-        nil -> first
-        time when first == nil or time < first -> time
-        _ -> first
-      end
-    end)
-  end
+  # `nil` is more than any number.
+  def next_time(%__MODULE__{own: own}),
+    do: Enum.reduce(own, nil, fn {_, output}, first -> min(Output.next_time(output), first) end)
 
   @spec release_due(t(), Situ.Time.t()) :: t()
   def release_due(%__MODULE__{} = outputs, now),
@@ -159,35 +117,39 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Adds demand of one subscriber; `:error` if the subscriber is unknown."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
-  def add_demand(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
-    with {:ok, output} <- Output.add_demand(output, from, n),
-         do: {:ok, %{outputs | own: [{name, output}]}}
-  end
+  def add_demand(%__MODULE__{own: own} = outputs, from, n),
+    do: update_first(own, outputs, &Output.add_demand(&1, from, n))
 
-  def add_demand(%__MODULE__{} = outputs, from, n) do
-    if Enum.any?(list_all(outputs), &Output.has_subscriber?(&1, from)),
-      do: {:ok, map_outputs(outputs, &asked(&1, from, n))},
-      else: :error
-  end
+  @doc "Sends a subscriber with a lossy policy the newest messages."
+  @spec refresh_subscriber(t(), {pid(), term()}) :: {:ok, t()} | :error
+  def refresh_subscriber(%__MODULE__{own: own} = outputs, from),
+    do: update_first(own, outputs, &Output.refresh_subscriber(&1, from))
 
-  defp asked(output, from, n) do
-    case Output.add_demand(output, from, n) do
-      {:ok, output} -> output
-      :error -> output
+  defp update_first([], _outputs, _fun), do: :error
+
+  defp update_first([{_, output} | rest], outputs, fun) do
+    case fun.(output) do
+      {:ok, output} -> {:ok, put(outputs, output)}
+      :error -> update_first(rest, outputs, fun)
     end
   end
 
+  @doc "Updates every subscriber with this tag."
+  @spec map_tagged(t(), term(), (Subscriber.t() -> Subscriber.t())) :: t()
+  def map_tagged(%__MODULE__{} = outputs, tag, fun),
+    do: map_outputs(outputs, &Output.map_tagged(&1, tag, fun))
+
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{} = outputs), do: Enum.all?(list_all(outputs), &(&1.subs == []))
+  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &match?({_, %{subs: []}}, &1))
 
   @spec list_subscribers(t()) :: [Subscriber.t()]
-  def list_subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(list_all(outputs), & &1.subs)
+  def list_subscribers(%__MODULE__{own: own}), do: for({_, %{subs: s}} <- own, sub <- s, do: sub)
 
-  @doc "Returns how many messages wait for demand: the maximum among the outputs' subscribers."
+  @doc "Returns how many messages wait for demand: the sum of the outputs' largest queues."
   @spec buffered_count(t()) :: non_neg_integer()
-  def buffered_count(%__MODULE__{} = outputs),
-    do: Enum.reduce(list_all(outputs), 0, &(Output.buffered_count(&1) + &2))
+  def buffered_count(%__MODULE__{own: own}),
+    do: Enum.reduce(own, 0, fn {_, output}, n -> n + Output.buffered_count(output) end)
 
   @doc "Removes subscribers and the messages that wait for them."
   @spec remove_subscribers(t(), (Subscriber.t() -> boolean())) :: t()
@@ -200,9 +162,9 @@ defmodule Situ.Ports.Outputs do
   end
 
   @doc "Ends external consumers with `reason`; internal ones close in their order."
-  @spec abandon_external(t(), term()) :: t()
-  def abandon_external(%__MODULE__{} = outputs, reason) do
-    outputs = flush(set_waiting(outputs, false))
+  @spec abandon_external(t(), term(), Situ.Time.t()) :: t()
+  def abandon_external(%__MODULE__{} = outputs, reason, now) do
+    outputs = flush(set_withheld(outputs, false), now)
 
     for %{monitor: ref} = sub when ref != nil <- list_subscribers(outputs),
         do: Subscriber.send_cancel(sub, reason)
@@ -221,11 +183,11 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Returns a value that changes when a message is emitted."
   @spec progress_mark(t()) :: term()
-  def progress_mark(%__MODULE__{} = outputs),
-    do: for(o <- list_all(outputs), do: {o.seq, o.last_time})
+  def progress_mark(%__MODULE__{own: own}),
+    do: for({_, output} <- own, do: {output.seq, output.last_time})
 
   @doc "Returns how many messages had been posted before, or were dropped because of their time."
   @spec repeated_count(t()) :: non_neg_integer()
-  def repeated_count(%__MODULE__{} = outputs),
-    do: Enum.reduce(list_all(outputs), 0, fn o, n -> n + o.repeated end)
+  def repeated_count(%__MODULE__{own: own}),
+    do: Enum.reduce(own, 0, fn {_, output}, n -> n + output.repeated end)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.PostingRules do
   @moduledoc false
   # The posting rules of an output: originating times and sequence ids strictly increase, and creation times never go
-  # backwards. Messages ahead of an enforced clock wait.
+  # backwards. Messages ahead of an enforced clock wait. A closed output ignores messages.
   alias Situ.{Error, Message}
   alias Situ.Ports.Output
 
@@ -9,42 +9,47 @@ defmodule Situ.Ports.PostingRules do
   @earliest -7_000_000_000_000_000_000
   @latest 8_999_999_999_999_999_998
 
-  @doc "Posts data at `time`; with `enforce`, the message is held until the clock reaches that time."
+  defguardp is_closed(ending) when is_tuple(ending) and elem(ending, 1) != nil
+
+  @doc "Posts data at `time`; with `enforce?`, the message is held until the clock reaches that time."
   @spec emit(Output.t(), Situ.Time.t(), term(), Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()}
-  def emit(%Output{closing: closing} = output, _time, _data, _now, _enforce)
-      when closing != nil,
+  def emit(%Output{ending: ending} = output, _time, _data, _now, _enforce?)
+      when is_closed(ending),
       do: {:ok, output}
 
-  def emit(%Output{resume: until} = output, time, data, now, enforce) when is_integer(until) do
-    if time <= until,
-      do: {:ok, repeat(output)},
-      else: emit(%{output | resume: nil}, time, data, now, enforce)
+  def emit(%Output{} = output, time, data, now, enforce?) do
+    case choose_time(output, time) do
+      {:at, time, output} when output.future == {[], []} and (not enforce? or time <= now) ->
+        {:ok, post(%{output | last_time: time}, time, data, now)}
+
+      {:at, time, output} ->
+        {:ok, Output.hold_item(%{output | last_time: time}, {time, data})}
+
+      {:drop, output} ->
+        {:ok, output}
+
+      {:error, error} ->
+        {:error, error}
+    end
   end
 
-  def emit(%Output{last_time: last} = output, time, data, now, enforce)
-      when is_integer(last) and time <= last,
-      do: output |> repeat_time(time) |> emit_again(data, now, enforce)
+  # Messages up to `resume` were posted before a restart.
+  defp choose_time(%{resume: until} = output, time) when is_integer(until) do
+    if time <= until,
+      do: {:drop, count_repeated(output)},
+      else: choose_time(%{output | resume: nil}, time)
+  end
 
-  def emit(%Output{future: {[], []}} = output, time, data, now, enforce)
-      when not enforce or time <= now,
-      do: {:ok, post(%{output | last_time: time}, time, data, now)}
+  defp choose_time(%{last_time: last} = output, time) when last == nil or time > last,
+    do: {:at, time, output}
 
-  def emit(%Output{} = output, time, data, _now, _enforce),
-    do: {:ok, Output.hold_item(%{output | last_time: time}, {time, data})}
+  defp choose_time(%{port: %{same_time: :drop}, last_time: time} = output, time),
+    do: {:drop, count_repeated(output)}
 
-  defp emit_again({:at, time, output}, data, now, enforce),
-    do: emit(output, time, data, now, enforce)
-
-  defp emit_again({:drop, output}, _data, _now, _enforce), do: {:ok, repeat(output)}
-  defp emit_again({:error, error}, _data, _now, _enforce), do: {:error, error}
-
-  # Another message at a time that has been, as the component's `on_same_time` says. One that is nudged goes 1 ns
-  # behind the last; `wanted` is what time that one was to have, so that a time that really goes back is still an error.
-  defp repeat_time(%{port: %{same_time: :drop}, last_time: time} = output, time),
-    do: {:drop, output}
-
-  defp repeat_time(%{port: %{same_time: :nudge}, last_time: last} = output, time) do
+  # A nudged message is posted 1 ns after the last one. `wanted` is the time that the last one was to have, so that a
+  # time that goes back is still an error.
+  defp choose_time(%{port: %{same_time: :nudge}, last_time: last} = output, time) do
     wanted = with {^last, wanted} <- output.wanted, do: wanted, else: (_ -> last)
 
     if time >= wanted,
@@ -52,60 +57,84 @@ defmodule Situ.Ports.PostingRules do
       else: {:error, not_increasing(output, time)}
   end
 
-  defp repeat_time(output, time), do: {:error, not_increasing(output, time)}
+  defp choose_time(output, time), do: {:error, not_increasing(output, time)}
+
+  defp count_repeated(output), do: %{output | repeated: output.repeated + 1}
 
   @doc """
-  Posts the leading `{name, time, data}` actions for this output in one pass; returns the remaining actions.
+  Posts the leading `{name, time, data}` actions for this output, in one pass if possible, and nothing later than
+  `final`; returns the remaining actions.
   """
   @spec emit_all(Output.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
           {:ok, Output.t(), [tuple()]} | {:error, Error.t()}
   def emit_all(
-        %Output{closing: nil, future: {[], []}, resume: nil, port: %{same_time: :error}} = output,
-        actions,
+        %Output{future: {[], []}, resume: nil, port: %{same_time: :error}, ending: ending} =
+          output,
+        [{name, time, _} | _] = actions,
         now,
         false,
         nil
-      ) do
-    creation = if output.last_creation == nil, do: now, else: max(now, output.last_creation)
-    first = output.last_time || :none
-    start = {output.port.name, creation, output.port.source_id}
+      )
+      when not is_closed(ending) do
+    created = Output.creation_time(output, now)
+    {{:open, _, id, base, times, data, n}, rest} = open_part(output, created, time)
 
-    case post_all(actions, start, first, output.seq, output.pending) do
+    case post_all(actions, name, base, output.last_time || :none, times, data) do
       {:stuck, time, last} ->
         {:error, not_increasing(%{output | last_time: last}, time)}
 
-      {rest, last, seq, pending} ->
-        last = if last == :none, do: nil, else: last
-        n = output.pending_n + seq - output.seq
+      {actions, last, times, data, posted} ->
+        part = {:open, created, id, base, times, data, n + posted}
+        output = put_posted(output, [part | rest], posted)
 
-        {:ok,
-         %{
-           output
-           | last_time: last,
-             last_creation: creation,
-             posted: now,
-             seq: seq,
-             pending: pending,
-             pending_n: n
-         }, rest}
+        {:ok, %{output | last_time: last, last_creation: created, seq: output.seq + posted},
+         actions}
     end
   end
 
-  def emit_all(output, [{_, time, _} | rest], _now, _enforce, final)
+  def emit_all(output, [{_, time, _} | rest], _now, _enforce?, final)
       when is_integer(final) and time > final,
       do: {:ok, output, rest}
 
-  def emit_all(output, [{_, time, data} | rest], now, enforce, _final) do
-    with {:ok, output} <- emit(output, time, data, now, enforce), do: {:ok, output, rest}
+  def emit_all(output, [{_, time, data} | rest], now, enforce?, _final) do
+    with {:ok, output} <- emit(output, time, data, now, enforce?), do: {:ok, output, rest}
+  end
+
+  defp post_all(actions, name, base, last, times, data),
+    do: post_all(actions, name, base, last, times, data, 0)
+
+  defp post_all([{name, time, value} | rest], name, base, last, times, data, n)
+       when is_integer(time) do
+    if last == :none or time > last,
+      do: post_all(rest, name, base, time, [time - base | times], [value | data], n + 1),
+      else: {:stuck, time, last}
+  end
+
+  defp post_all(rest, _name, _base, last, times, data, n), do: {rest, last, times, data, n}
+
+  defp open_part(%{pending: [{:open, created, _, _, _, _, _} = part | rest]}, created, _time),
+    do: {part, rest}
+
+  defp open_part(output, created, time),
+    do: {{:open, created, output.seq + 1, time, [], [], 0}, output.pending}
+
+  defp put_posted(output, pending, n),
+    do: %{output | pending: pending, pending_n: output.pending_n + n}
+
+  defp post(output, time, data, now) do
+    created = Output.creation_time(output, now)
+    {{:open, _, id, base, times, all, n}, rest} = open_part(output, created, time)
+    part = {:open, created, id, base, [time - base | times], [data | all], n + 1}
+    put_posted(%{output | last_creation: created, seq: output.seq + 1}, [part | rest], 1)
   end
 
   @doc "Checks that message ages from the time `first` to the last post fit the clocks and counters."
-  @spec in_range(Output.t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
-  def in_range(%Output{last_time: last}, first)
+  @spec check_range(Output.t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
+  def check_range(%Output{last_time: last}, first)
       when first >= @earliest and (last == nil or last <= @latest),
       do: :ok
 
-  def in_range(%Output{port: port} = output, first) do
+  def check_range(%Output{port: port} = output, first) do
     time = if first < @earliest, do: first, else: output.last_time
 
     {:error,
@@ -116,167 +145,99 @@ defmodule Situ.Ports.PostingRules do
      )}
   end
 
-  defp post_all([{name, time, data} | rest], {name, creation, id} = start, last, seq, pending)
-       when is_integer(time) do
-    if time > last or last == :none do
-      seq = seq + 1
-
-      message = %Message{
-        data: data,
-        originating_time: time,
-        creation_time: creation,
-        sequence_id: seq,
-        source_id: id
-      }
-
-      post_all(rest, start, time, seq, [message | pending])
-    else
-      {:stuck, time, last}
-    end
-  end
-
-  defp post_all(rest, _start, last, seq, pending), do: {rest, last, seq, pending}
-
-  @doc "Posts a message with its own envelope; only its source id is replaced by this output's."
-  @spec forward(Output.t(), Message.t(), Situ.Time.t(), boolean()) ::
-          {:ok, Output.t()} | {:error, Error.t()}
-  def forward(%Output{closing: closing} = output, _message, _now, _enforce)
-      when closing != nil,
-      do: {:ok, output}
-
-  def forward(%Output{resume: until} = output, message, now, enforce) when is_integer(until) do
-    if message.originating_time <= until,
-      do: {:ok, repeat(output)},
-      else: forward(%{output | resume: nil}, message, now, enforce)
-  end
-
-  def forward(%Output{port: %{same_time: how}, last_time: last} = output, message, now, enforce)
-      when how != :error and is_integer(last) and message.originating_time <= last do
-    case repeat_time(output, message.originating_time) do
-      {:at, time, output} ->
-        forward(output, %{message | originating_time: time}, now, enforce)
-
-      {:drop, output} ->
-        {:ok, repeat(output)}
-
-      error ->
-        error
-    end
-  end
-
-  def forward(%Output{} = output, %Message{} = message, now, enforce) do
-    case check(output, message) do
-      :ok when (not enforce or message.originating_time <= now) and output.future == {[], []} ->
-        {:ok, push(remember(output, message), message, now)}
-
-      :ok ->
-        {:ok, Output.hold_item(remember(output, message), message)}
-
-      error ->
-        error
-    end
-  end
-
   @doc """
-  Posts messages with their own envelopes, in one pass if possible. Returns `:error` if one of them is not a message.
+  Posts messages with their own envelopes, in one pass if possible; only their source id is replaced by this output's.
+  Returns `:error` if one of them is not a message.
   """
   @spec forward_all(Output.t(), [Message.t()], Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()} | :error
+  def forward_all(output, [], _now, _enforce?), do: {:ok, output}
+
+  def forward_all(%Output{ending: ending} = output, messages, _now, _enforce?)
+      when is_closed(ending),
+      do: if(Enum.all?(messages, &is_struct(&1, Message)), do: {:ok, output}, else: :error)
+
   def forward_all(
-        %Output{
-          closing: nil,
-          future: {[], []},
-          resume: nil,
-          port: %{same_time: :error},
-          last_time: last
-        } = output,
+        %Output{future: {[], []}, resume: nil, port: %{same_time: :error}, last_time: last} =
+          output,
         [_, _ | _] = messages,
         now,
         false
       )
       when is_integer(last) do
-    made = output.last_creation
+    {own, pending} = own_part(output)
+    start = {last, output.seq, output.last_creation}
 
-    case push_all(messages, output.port.source_id, last, output.seq, made, nil, output.pending, 0) do
-      # The first does not fit: `forward/4` says why.
-      {rest, 0, _last, _pending} ->
-        forward_one(output, rest, now, false)
+    case push_all(messages, output.port.source_id, start, own, 0) do
+      # The first one does not fit: `forward/4` returns the reason.
+      {rest, _own, 0} ->
+        forward_first(output, rest, now, false)
 
-      {rest, n, message, pending} ->
-        output = remember(output, message)
-        output = %{output | pending: pending, pending_n: output.pending_n + n, posted: now}
+      {rest, [last | _] = own, n} ->
+        output = output |> remember_last(last) |> put_posted([{:own, own} | pending], n)
         forward_all(output, rest, now, false)
     end
   end
 
-  def forward_all(output, [], _now, _enforce), do: {:ok, output}
-  def forward_all(output, messages, now, enforce), do: forward_one(output, messages, now, enforce)
+  def forward_all(output, messages, now, enforce?),
+    do: forward_first(output, messages, now, enforce?)
 
-  defp forward_one(output, [%Message{} = message | rest], now, enforce) do
-    with {:ok, output} <- forward(output, message, now, enforce),
-         do: forward_all(output, rest, now, enforce)
+  defp forward_first(output, [%Message{} = message | rest], now, enforce?) do
+    with {:ok, output} <- forward(output, message, now, enforce?),
+         do: forward_all(output, rest, now, enforce?)
   end
 
-  defp forward_one(_output, _messages, _now, _enforce), do: :error
+  defp forward_first(_output, _messages, _now, _enforce?), do: :error
 
-  defp push_all(
-         [
-           %Message{originating_time: time, sequence_id: id, creation_time: created} = message
-           | rest
-         ],
-         source,
-         last,
-         seq,
-         made,
-         _previous,
-         pending,
-         n
-       )
-       when time > last and id > seq and created >= made do
-    pending = [%{message | source_id: source} | pending]
-    push_all(rest, source, time, id, created, message, pending, n + 1)
-  end
+  defp push_all([%Message{} = message | rest] = messages, source, {last, id, created}, own, n) do
+    %{originating_time: time, sequence_id: next, creation_time: creation} = message
 
-  defp push_all(rest, _source, _last, _seq, _made, message, pending, n),
-    do: {rest, n, message, pending}
-
-  @doc "Releases held messages whose time has come."
-  @spec release_due(Output.t(), Situ.Time.t()) :: Output.t()
-  def release_due(%Output{} = output, now) do
-    case Output.pop_due(output, now) do
-      nil -> output
-      {held, output} -> output |> let_go(held, now) |> release_due(now)
+    if time > last and next > id and creation >= created do
+      own = [%{message | source_id: source} | own]
+      push_all(rest, source, {time, next, creation}, own, n + 1)
+    else
+      {messages, own, n}
     end
   end
 
-  defp post(output, time, data, now) do
-    creation = if output.last_creation == nil, do: now, else: max(now, output.last_creation)
-    seq = output.seq + 1
+  defp push_all(rest, _source, _last, own, n), do: {rest, own, n}
 
-    message = %Message{
-      data: data,
-      originating_time: time,
-      creation_time: creation,
-      sequence_id: seq,
-      source_id: output.port.source_id
-    }
+  defp own_part(%{pending: [{:own, messages} | rest]}), do: {messages, rest}
+  defp own_part(%{pending: pending}), do: {[], pending}
 
-    %{
-      output
-      | seq: seq,
-        last_creation: creation,
-        posted: now,
-        pending: [message | output.pending],
-        pending_n: output.pending_n + 1
-    }
+  defp forward(output, message, now, enforce?) do
+    with {:at, time, output} <- choose_forwarded_time(output, message),
+         message = %{message | originating_time: time},
+         :ok <- check_order(output, message) do
+      output = remember_last(output, message)
+
+      if output.future == {[], []} and (not enforce? or time <= now),
+        do: {:ok, push(output, message)},
+        else: {:ok, Output.hold_item(output, message)}
+    else
+      {:drop, output} -> {:ok, output}
+      {:error, error} -> {:error, error}
+    end
   end
 
-  defp push(output, message, now) do
-    pending = [%{message | source_id: output.port.source_id} | output.pending]
-    %{output | pending: pending, pending_n: output.pending_n + 1, posted: now}
+  # The sequence id is checked before the time.
+  defp choose_forwarded_time(%{port: %{same_time: :error}, resume: nil} = output, message),
+    do: {:at, message.originating_time, output}
+
+  defp choose_forwarded_time(%{port: %{same_time: :error}, resume: until} = output, message) do
+    if message.originating_time <= until,
+      do: {:drop, count_repeated(output)},
+      else: {:at, message.originating_time, %{output | resume: nil}}
   end
 
-  defp remember(output, message) do
+  defp choose_forwarded_time(output, message), do: choose_time(output, message.originating_time)
+
+  defp push(output, message) do
+    {own, rest} = own_part(output)
+    put_posted(output, [{:own, [%{message | source_id: output.port.source_id} | own]} | rest], 1)
+  end
+
+  defp remember_last(output, message) do
     %{
       output
       | last_time: message.originating_time,
@@ -285,14 +246,19 @@ defmodule Situ.Ports.PostingRules do
     }
   end
 
-  defp repeat(output), do: %{output | repeated: output.repeated + 1}
+  @doc "Releases held messages whose time has come."
+  @spec release_due(Output.t(), Situ.Time.t()) :: Output.t()
+  def release_due(%Output{} = output, now) do
+    case Output.pop_due(output, now) do
+      nil -> output
+      {{time, data}, output} -> output |> post(time, data, now) |> release_due(now)
+      {message, output} -> output |> push(message) |> release_due(now)
+    end
+  end
 
-  defp let_go(output, {time, data}, now), do: post(output, time, data, now)
-  defp let_go(output, %Message{} = message, now), do: push(output, message, now)
+  defp check_order(%{last_time: nil}, _message), do: :ok
 
-  defp check(%{last_time: nil}, _message), do: :ok
-
-  defp check(output, message) do
+  defp check_order(output, message) do
     cond do
       message.sequence_id <= output.seq ->
         {:error, out_of_order(output, :sequence, message.sequence_id)}

@@ -1,12 +1,15 @@
 defmodule Situ.Ports.Subscriber do
   @moduledoc false
   # One consumer of an output: its demand and its waiting messages. Under a lossy policy the policy's queue is here, at
-  # the producer, so a slow consumer receives no more than it asked for. `monitor` watches a consumer outside the
-  # pipeline.
+  # the producer, so a slow consumer receives no more than it asked for.
+  #
+  # A consumer is another stage of the pipeline, which takes batches; another step of the same stage (`demand: :local`),
+  # for which the stage collects them with `take_buffer/1`; or a GenStage process, which takes messages and may be
+  # watched by `monitor`.
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.Queue
-  alias Situ.Ports.Counters
+  alias Situ.Ports.{Batch, Counters}
 
   @enforce_keys [:tag, :pid]
   defstruct [
@@ -29,23 +32,24 @@ defmodule Situ.Ports.Subscriber do
           counters: Counters.t() | nil,
           monitor: reference() | nil,
           queue: Queue.t() | nil,
-          demand: integer() | :infinity,
-          buffer: [[Situ.Message.t()]],
-          rear: [[Situ.Message.t()]],
+          demand: integer() | :infinity | :local,
+          buffer: [Batch.t()],
+          rear: [Batch.t()],
           size: non_neg_integer(),
           waiting: boolean()
         }
-
-  @type ages :: {Situ.Time.t(), created :: integer(), posted :: integer()}
 
   @doc "Builds a subscriber without demand."
   @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
     if counters, do: Counters.put_held_count(counters, 0)
-    lossy? = policy != nil and Delivery.lossy?(policy)
-    queue = if lossy?, do: Queue.new(policy)
+    queue = if policy != nil and Delivery.lossy?(policy), do: Queue.new(policy)
     %__MODULE__{tag: tag, pid: pid, counters: counters, queue: queue}
   end
+
+  @doc "Builds a subscriber for another step of the calling stage."
+  @spec new_local(term(), Counters.t()) :: t()
+  def new_local(tag, counters), do: %{new(tag, self(), counters) | demand: :local}
 
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()
@@ -61,37 +65,61 @@ defmodule Situ.Ports.Subscriber do
     do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
 
   @doc """
-  Delivers `n` messages at clock time `now` within the demand; the rest waits. `ages` is the time of the last message,
-  and its age, in ns, when it was created and when it was posted.
+  Delivers batches of `n` messages at clock time `now` within the demand; the rest waits. `latency` is the originating
+  time of the last message and its age, in ns, when it was created.
   """
-  @spec deliver_messages(t(), [Situ.Message.t()], pos_integer(), ages(), Situ.Time.t()) :: t()
-  def deliver_messages(%{size: 0, demand: demand} = sub, messages, n, ages, now)
-      when demand == :infinity or demand >= n do
-    count(sub, n, ages, now)
-    deliver(sub, messages)
-    %{sub | demand: minus(demand, n)}
+  @spec deliver_batches(
+          t(),
+          [Batch.t()],
+          pos_integer(),
+          {Situ.Time.t(), integer()},
+          Situ.Time.t()
+        ) ::
+          t()
+  def deliver_batches(sub, batches, n, {time, created}, now) do
+    if sub.counters do
+      Counters.count_emitted(sub.counters, n, created, now - time)
+      Counters.record_sent(sub.counters, time, now)
+    end
+
+    deliver(sub, batches, n, now)
   end
 
-  def deliver_messages(%{queue: nil} = sub, messages, n, ages, now) do
-    count(sub, n, ages, now)
-    drain(%{sub | rear: [messages | sub.rear], size: sub.size + n})
+  defp deliver(%{demand: :local} = sub, batches, _n, _now),
+    do: %{sub | rear: :lists.reverse(batches, sub.rear)}
+
+  defp deliver(%{size: 0, demand: demand} = sub, batches, n, _now)
+       when demand == :infinity or demand >= n do
+    send_batches(sub, batches)
+    %{sub | demand: subtract(demand, n)}
   end
 
-  def deliver_messages(sub, messages, n, ages, now) do
-    count(sub, n, ages, now)
-    {queue, old} = Queue.drop_expired(sub.queue, now)
-    {queue, dropped} = Queue.push_all(queue, messages)
-    drop(sub, length(old) + dropped)
+  defp deliver(%{queue: nil} = sub, batches, n, _now),
+    do: send_waiting(%{sub | rear: :lists.reverse(batches, sub.rear), size: sub.size + n})
+
+  defp deliver(sub, batches, _n, now) do
+    {queue, expired} = Queue.drop_expired(sub.queue, now)
+    {queue, dropped} = Queue.push_all(queue, Enum.flat_map(batches, &Batch.messages/1))
+    count_dropped(sub, length(expired) + dropped)
     sub = %{sub | queue: queue, size: queue.size}
+
     # In the middle of a turn: the consumer need not wait until this stage looks into its mailbox.
     if sub.counters != nil and Counters.take_held_request?(sub.counters),
       do: hand_over(sub),
-      else: drain(sub)
+      else: send_waiting(sub)
   end
+
+  @doc "Takes the batches for another step of the same stage."
+  @spec take_buffer(t()) :: {[Batch.t()], t()}
+  def take_buffer(%__MODULE__{demand: :local, rear: rear} = sub),
+    do: {:lists.reverse(rear), %{sub | rear: []}}
 
   @doc "Adds demand."
   @spec add_demand(t(), pos_integer() | :infinity) :: t()
-  def add_demand(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
+  def add_demand(%__MODULE__{demand: demand} = sub, n) do
+    demand = if :infinity in [demand, n], do: :infinity, else: demand + n
+    send_waiting(%{sub | demand: demand})
+  end
 
   @doc "Delivers all messages waiting under a lossy policy, unless already done; the batch may be empty."
   @spec deliver_newest(t()) :: t()
@@ -111,38 +139,60 @@ defmodule Situ.Ports.Subscriber do
 
   def drop_after(%__MODULE__{} = sub, time) do
     {queue, late} = Queue.drop_after(sub.queue, time)
-    drop(sub, length(late))
+    count_dropped(sub, length(late))
     %{sub | queue: queue, size: queue.size}
   end
 
-  defp drain(%{size: 0} = sub), do: note_waiting(sub, false)
-  defp drain(%{demand: 0} = sub), do: note_waiting(sub, true)
+  @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
+  @spec free_capacity(t()) :: integer() | :infinity
+  def free_capacity(%{demand: demand}) when demand in [:infinity, :local], do: :infinity
+  def free_capacity(%{queue: %{policy: %{throttle: false}}}), do: :infinity
+  def free_capacity(%{size: 0, demand: demand}), do: demand
+  def free_capacity(%{size: size}), do: -size
 
-  defp drain(%{queue: nil, buffer: [], rear: rear} = sub),
-    do: drain(%{sub | buffer: Enum.reverse(rear), rear: []})
+  @doc "Sets the function that decides which messages a lossy policy never drops."
+  @spec put_guarantee(t(), (term() -> boolean())) :: t()
+  def put_guarantee(%__MODULE__{queue: nil} = sub, _keep?), do: sub
 
-  defp drain(%{queue: nil, buffer: [batch | rest], demand: demand} = sub) do
-    {now, later} = split(batch, demand)
-    n = length(now)
-    deliver(sub, now)
-    buffer = if later == [], do: rest, else: [later | rest]
-    drain(%{sub | buffer: buffer, size: sub.size - n, demand: minus(demand, n)})
-  end
+  def put_guarantee(%__MODULE__{queue: queue} = sub, keep?),
+    do: %{sub | queue: Queue.put_guarantee(queue, keep?)}
 
-  defp drain(%{queue: queue, demand: demand} = sub) do
-    {now, n, queue} = Queue.take(queue, demand)
-    put_held(sub, queue.size)
-    deliver(sub, now)
-    drain_rest(%{sub | queue: queue, size: queue.size, demand: minus(demand, n)})
+  defp send_waiting(%{size: 0} = sub), do: note_waiting(sub, false)
+  defp send_waiting(%{demand: 0} = sub), do: note_waiting(sub, true)
+
+  defp send_waiting(%{queue: nil, buffer: [], rear: rear} = sub),
+    do: send_waiting(%{sub | buffer: :lists.reverse(rear), rear: []})
+
+  defp send_waiting(%{queue: nil, demand: demand} = sub) do
+    {batches, n, rest} = take_within(sub.buffer, demand, [], 0)
+    send_batches(sub, batches)
+    send_waiting(%{sub | buffer: rest, size: sub.size - n, demand: subtract(demand, n)})
   end
 
   # Protected messages may be more than were asked for.
-  defp drain_rest(sub), do: note_waiting(sub, sub.size > 0)
+  defp send_waiting(%{queue: queue, demand: demand} = sub) do
+    {messages, n, queue} = Queue.take(queue, demand)
+    if messages != [], do: send_batches(sub, [messages])
+    sub = %{sub | queue: queue, size: queue.size, demand: subtract(demand, n)}
+    note_waiting(sub, sub.size > 0)
+  end
 
-  defp deliver(sub, messages), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, messages})
+  defp take_within([], _demand, taken, n), do: {:lists.reverse(taken), n, []}
+  defp take_within(rest, demand, taken, n) when n == demand, do: {:lists.reverse(taken), n, rest}
 
-  defp split(batch, :infinity), do: {batch, []}
-  defp split(batch, n), do: Enum.split(batch, n)
+  defp take_within([batch | rest], demand, taken, n) do
+    {now, later} = Batch.split(batch, subtract(demand, n))
+    rest = if later == nil, do: rest, else: [later | rest]
+    take_within(rest, demand, [now | taken], n + Batch.size(now))
+  end
+
+  # Only the stages of a pipeline have counters for their connections.
+  defp send_batches(%{counters: nil} = sub, batches),
+    do: send_entry(sub, Enum.flat_map(batches, &Batch.messages/1))
+
+  defp send_batches(sub, batches), do: send_entry(sub, batches)
+
+  defp send_entry(sub, entry), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, entry})
 
   # Nobody waits for a lossy edge: its flag is how much is held back.
   defp note_waiting(%{queue: queue} = sub, _flag) when queue != nil do
@@ -161,27 +211,10 @@ defmodule Situ.Ports.Subscriber do
   defp put_held(%{counters: nil}, _n), do: :ok
   defp put_held(%{counters: counters}, n), do: Counters.put_held_count(counters, n)
 
-  defp drop(_sub, 0), do: :ok
-  defp drop(%{counters: nil}, _n), do: :ok
-  defp drop(%{counters: counters}, n), do: Counters.count_dropped(counters, n)
+  defp count_dropped(_sub, 0), do: :ok
+  defp count_dropped(%{counters: nil}, _n), do: :ok
+  defp count_dropped(%{counters: counters}, n), do: Counters.count_dropped(counters, n)
 
-  defp count(%{counters: nil}, _n, _ages, _now), do: :ok
-
-  defp count(%{counters: counters}, n, {time, created, posted}, now) do
-    Counters.count_emitted(counters, n, created, posted)
-    Counters.record_sent(counters, time, now)
-  end
-
-  @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
-  @spec free_capacity(t()) :: integer() | :infinity
-  def free_capacity(%{demand: :infinity}), do: :infinity
-  def free_capacity(%{queue: %{policy: %{throttle: false}}}), do: :infinity
-  def free_capacity(%{size: 0, demand: demand}), do: demand
-  def free_capacity(%{size: size}), do: -size
-
-  defp minus(:infinity, _n), do: :infinity
-  defp minus(demand, n), do: demand - n
-  defp more(:infinity, _n), do: :infinity
-  defp more(_demand, :infinity), do: :infinity
-  defp more(demand, n), do: demand + n
+  defp subtract(:infinity, _n), do: :infinity
+  defp subtract(demand, n), do: demand - n
 end

@@ -1,225 +1,141 @@
 defmodule Situ.Stage.ActionRunner do
   @moduledoc false
-  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then
-  # `send_pending/1` sends the messages.
+  # Applies a component's actions to its step: all of them, or none if one is invalid.
   alias Situ.{Error, Message}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Inputs, Output, Outputs, PostingRules}
-  alias Situ.Stage.{ChainRunner, ErrorPolicy, Scheduling, SourceState, State}
+  alias Situ.Stage.{ErrorPolicy, SourceState, Step}
 
-  @spec apply_actions(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
-          {:ok, State.t()} | {:error, Error.t()}
-  def apply_actions(state, [], _now), do: {:ok, state}
+  @spec apply_actions(Step.t(), [Situ.Component.action()]) ::
+          {:ok, Step.t()} | {:error, Error.t()}
+  def apply_actions(step, []), do: {:ok, step}
 
-  def apply_actions(state, [{output, time, _} | _] = actions, now)
-      when is_integer(time) and is_atom(output) and
-             output not in [:timer, :close, :complete, :continue] do
-    with {:ok, output} <- output(state, output),
-         {:ok, output, rest} <-
-           PostingRules.emit_all(
-             output,
-             actions,
-             now,
-             state.context.enforced?,
-             state.source.final
-           ),
-         :ok <- PostingRules.in_range(output, time) do
-      apply_actions(put(state, output), rest, now)
+  def apply_actions(step, [{name, time, _} | _] = actions)
+      when is_integer(time) and is_atom(name) and
+             name not in [:timer, :close, :complete, :continue] do
+    %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
+
+    with {:ok, output} <- fetch_output(step, name),
+         {:ok, output, rest} <- PostingRules.emit_all(output, actions, now, enforced?, final),
+         :ok <- PostingRules.check_range(output, time) do
+      apply_actions(put_output(step, output), rest)
     end
   end
 
-  def apply_actions(state, [{output, %Message{} = message} | rest], now) when is_atom(output),
-    do: forward(state, output, [message], rest, now)
+  def apply_actions(step, [{name, %Message{} = message} | rest]) when is_atom(name),
+    do: forward(step, name, [message], rest)
 
-  def apply_actions(state, [{output, messages} | rest], now)
-      when is_atom(output) and is_list(messages),
-      do: forward(state, output, messages, rest, now)
+  def apply_actions(step, [{name, messages} | rest])
+      when is_atom(name) and is_list(messages),
+      do: forward(step, name, messages, rest)
 
-  def apply_actions(state, [action | rest], now) do
-    case one(state, action, now) do
-      {:ok, state} -> apply_actions(state, rest, now)
-      error -> error
-    end
+  def apply_actions(step, [action | rest]) do
+    with {:ok, step} <- apply_action(step, action), do: apply_actions(step, rest)
   end
 
-  def apply_actions(state, other, _now),
-    do: {:error, Callback.bad_action_error(state.callback.path, other)}
+  def apply_actions(step, other), do: {:error, bad_action(step, other)}
 
-  defp forward(state, name, messages, rest, now) do
-    with {:ok, output} <- output(state, name),
+  defp forward(%{context: context} = step, name, messages, rest) do
+    with {:ok, output} <- fetch_output(step, name),
          {:ok, output} <-
-           PostingRules.forward_all(output, messages, now, state.context.enforced?),
-         :ok <- in_range(output, messages) do
-      apply_actions(put(state, output), rest, now)
+           PostingRules.forward_all(output, messages, context.now, context.enforced?),
+         :ok <- check_first(output, messages) do
+      apply_actions(put_output(step, output), rest)
     else
-      :error -> {:error, Callback.bad_action_error(state.callback.path, {name, messages})}
+      :error -> {:error, bad_action(step, {name, messages})}
       error -> error
     end
   end
 
-  defp in_range(_output, []), do: :ok
-  defp in_range(output, [first | _]), do: PostingRules.in_range(output, first.originating_time)
+  defp check_first(_output, []), do: :ok
 
-  defp put(state, output), do: %{state | outputs: Outputs.put(state.outputs, output)}
+  defp check_first(output, [first | _]),
+    do: PostingRules.check_range(output, first.originating_time)
+
+  defp put_output(step, output), do: %{step | outputs: Outputs.put(step.outputs, output)}
 
   # An infinite source continues to produce, but no longer affects when the pipeline ends.
-  defp one(state, {:complete, :infinity}, _now) do
-    if not state.source.completed, do: State.report_event(state, {:completed, :infinity})
-    {:ok, state}
+  defp apply_action(step, {:complete, :infinity}) do
+    if not step.source.completed, do: Step.report_event(step, {:completed, :infinity})
+    {:ok, step}
   end
 
-  defp one(state, {:complete, time}, _now) when is_integer(time),
-    do: {:ok, announce_end(state, time)}
+  defp apply_action(step, {:complete, time}) when is_integer(time),
+    do: {:ok, announce_end(step, time)}
 
-  defp one(state, {:close, name}, now) do
-    with {:ok, output} <- output(state, name),
-         do: {:ok, close(state, output, output.last_time || now)}
+  defp apply_action(step, {:close, name}) do
+    with {:ok, output} <- fetch_output(step, name),
+         do: {:ok, close_output(step, output, output.last_time || step.context.now)}
   end
 
-  defp one(state, {:close, name, time}, _now) when is_integer(time) do
-    with {:ok, output} <- output(state, name), do: {:ok, close(state, output, time)}
+  defp apply_action(step, {:close, name, time}) when is_integer(time) do
+    with {:ok, output} <- fetch_output(step, name), do: {:ok, close_output(step, output, time)}
   end
 
-  defp one(state, {:hold, input}, _now) when is_atom(input),
-    do: {:ok, %{state | inputs: Inputs.set_hold(state.inputs, input, true)}}
+  defp apply_action(step, {how, input}) when how in [:hold, :resume] and is_atom(input),
+    do: {:ok, %{step | inputs: Inputs.set_hold(step.inputs, input, how == :hold)}}
 
-  defp one(state, {:resume, input}, _now) when is_atom(input),
-    do: {:ok, %{state | inputs: Inputs.set_hold(state.inputs, input, false)}}
-
-  # The component may be in the middle of a message of the input: the connection is removed in the next turn.
-  defp one(state, {:detach, input, opts}, _now) when is_atom(input) and is_list(opts) do
+  # The component may be handling a message of this input, so the connection is removed in the next time slice.
+  defp apply_action(step, {:detach, input, opts}) when is_atom(input) and is_list(opts) do
     send(self(), {:situ, {:leave, input}})
-    {:ok, put_options(state, opts)}
+    {:ok, Step.put_options(step, opts)}
   end
 
-  defp one(%{source: %{final: final}} = state, {:timer, _key, time}, _now)
+  defp apply_action(%{source: %{final: final}} = step, {:timer, _key, time})
        when is_integer(time) and is_integer(final) and time > final,
-       do: {:ok, state}
+       do: {:ok, step}
 
-  defp one(state, {:timer, key, time}, _now) when is_integer(time),
-    do: {:ok, %{state | timers: Timers.add(state.timers, time, key)}}
+  defp apply_action(step, {:timer, key, time}) when is_integer(time),
+    do: {:ok, %{step | timers: Timers.add(step.timers, time, key)}}
 
-  defp one(state, {:continue, term}, _now),
-    do: {:ok, %{state | pace: %{state.pace | continue: {:some, term}}}}
+  defp apply_action(step, {:continue, term}),
+    do: {:ok, %{step | work: %{step.work | continue: {:some, term}}}}
 
-  defp one(state, {:linger, lingers?}, _now) when is_boolean(lingers?) do
-    state = State.set_patience(state, lingers?)
-    {:ok, %{state | pace: %{state.pace | lingers: lingers?}}}
+  defp apply_action(step, {:linger, lingers?}) when is_boolean(lingers?) do
+    Step.set_patience(step, lingers?)
+    {:ok, %{step | work: %{step.work | lingers: lingers?}}}
   end
 
-  defp one(state, {:demand, mode}, _now) when mode in [:accumulate, :forward],
-    do: {:ok, State.set_demand(state, mode)}
+  defp apply_action(step, {:demand, mode}) when mode in [:accumulate, :forward],
+    do: {:ok, Step.set_demand(step, mode)}
 
-  defp one(state, :stopping, _now),
-    do: {:ok, %{state | source: SourceState.mark_stopping(state.source)}}
+  defp apply_action(step, :stopping),
+    do: {:ok, %{step | source: SourceState.mark_stopping(step.source)}}
 
-  defp one(%{source: %{stopping: :stopping}} = state, :stopped, _now),
-    do: {:ok, ErrorPolicy.report_source_stopped(state)}
+  defp apply_action(%{source: %{stopping: :stopping}} = step, :stopped),
+    do: {:ok, ErrorPolicy.report_source_stopped(step)}
 
-  defp one(state, :stopped, _now), do: {:ok, state}
+  defp apply_action(step, :stopped), do: {:ok, step}
+  defp apply_action(step, action), do: {:error, bad_action(step, action)}
 
-  defp one(state, action, _now),
-    do: {:error, Callback.bad_action_error(state.callback.path, action)}
-
-  @doc "Replaces the component's options."
-  @spec put_options(State.t(), keyword()) :: State.t()
-  def put_options(state, opts) do
-    state = State.put_head(state, %{State.head_vertex(state) | opts: opts})
-    %{state | callback: %{state.callback | opts: opts}}
-  end
+  defp bad_action(step, action), do: Callback.bad_action_error(step.worker.path, action)
 
   @doc "Records a source's end; the server is notified once no message waits for its time, before the rest is sent."
-  @spec announce_end(State.t(), Situ.Time.t()) :: State.t()
-  def announce_end(state, time) do
-    {how, source} = SourceState.record_end(state.source, time, Outputs.any_held?(state.outputs))
-    if how == :tell, do: State.report_event(state, {:completed, time})
-    outputs = if how == :tell, do: Outputs.set_waiting(state.outputs, true), else: state.outputs
-    %{state | source: source, outputs: outputs}
-  end
+  @spec announce_end(Step.t(), Situ.Time.t()) :: Step.t()
+  def announce_end(step, time) do
+    case SourceState.record_end(step.source, time, Outputs.any_held?(step.outputs)) do
+      {:tell, source} ->
+        Step.report_event(step, {:completed, time})
+        %{step | source: source, outputs: Outputs.set_withheld(step.outputs, true)}
 
-  # The last output of a source that closes says that it ends, before the closing mark goes out.
-  defp close(%{source: %{kind: nil}} = state, output, time), do: close_now(state, output, time)
-
-  defp close(%{outputs: outputs} = state, output, time) do
-    state = close_now(%{state | outputs: Outputs.set_waiting(outputs, true)}, output, time)
-
-    closed(
-      %{state | outputs: Outputs.set_waiting(state.outputs, Outputs.any_waiting?(outputs))},
-      time
-    )
-  end
-
-  # The light operators after a component close with it.
-  defp close_now(%{outputs: %{tail: %Output{}}} = state, _output, time) do
-    state = send_all_pending(state)
-    %{state | outputs: Outputs.map_outputs(state.outputs, &Output.close(&1, time))}
-  end
-
-  defp close_now(state, output, time) do
-    {:ok, output} = Outputs.fetch(state.outputs, output.port.name)
-    put(state, Output.close(output, time))
-  end
-
-  defp closed(state, time) do
-    closing = for output <- Outputs.list_all(state.outputs), do: output.closing
-    if nil in closing, do: state, else: announce_end(state, Enum.max([time | closing]))
-  end
-
-  defp output(state, name) do
-    case Outputs.fetch(state.outputs, name) do
-      {:ok, output} -> {:ok, output}
-      :error -> {:error, unknown_output(state, name)}
+      {:later, source} ->
+        %{step | source: source}
     end
   end
 
-  defp unknown_output(state, name) do
-    known = state.outputs |> Outputs.list_names() |> Enum.map_join(", ", &inspect/1)
+  # If all outputs of a source close, the server learns of its end before the closing mark is sent.
+  defp close_output(step, output, time) do
+    step = put_output(step, Output.close(output, time))
+    closing = for output <- Outputs.list_all(step.outputs), do: Output.closing_time(output)
 
-    Error.new(
-      :unknown_output,
-      "#{state.callback.path} emitted on #{inspect(name)}, but it has no such output",
-      fix: "its outputs: " <> known,
-      meta: %{component: state.callback.path}
-    )
+    if step.source.kind == nil or nil in closing,
+      do: step,
+      else: announce_end(step, Enum.max([time | closing]))
   end
 
-  @doc """
-  Sends pending messages, publishes counts and requests more messages. Slow operators after a component leave
-  messages for another time slice, after the current mailbox.
-  """
-  @spec send_pending(State.t()) :: State.t()
-  def send_pending(%{callback: nil} = state),
-    do: %{
-      state
-      | outputs: Outputs.flush(state.outputs),
-        inputs: Inputs.settle_touched(state.inputs)
-    }
-
-  def send_pending(state) do
-    state = state |> ChainRunner.run_tail(:some) |> sent()
-
-    if state.outputs.left == [],
-      do: state,
-      else: %{state | pace: Scheduling.schedule_slice(state.pace)}
+  defp fetch_output(step, name) do
+    with :error <- Outputs.fetch(step.outputs, name),
+         do: {:error, Step.unknown_output(step, name)}
   end
-
-  @doc "Settles and leaves no messages, for a stage that closes or pauses."
-  @spec send_all_pending(State.t()) :: State.t()
-  def send_all_pending(%{callback: nil} = state), do: send_pending(state)
-  def send_all_pending(state), do: state |> ChainRunner.run_tail(:all) |> sent()
-
-  defp sent(state) do
-    state = widen(state)
-    %{state | outputs: flush(state), inputs: Inputs.settle_touched(state.inputs)}
-  end
-
-  # Messages that a source posts before the clock starts wait for the light operators after it.
-  defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
-  defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
-
-  defp widen(%{pace: %{wide: true}} = state), do: state
-
-  defp widen(%{pace: pace} = state),
-    do: %{state | pace: Scheduling.enlarge_heap(pace, Inputs.max_handled(state.inputs))}
 end

@@ -6,9 +6,10 @@ defmodule Situ.Stage.Checkpoint do
   # See docs/adr/0111-checkpoints-pause-the-sources.md.
   alias Situ.Error
   alias Situ.Clock.Timers
-  alias Situ.Component.Snapshot
+  alias Situ.Component.{Callback, Snapshot}
+  alias Situ.Operator.Chain
   alias Situ.Ports.{Inputs, Output, Outputs}
-  alias Situ.Stage.State
+  alias Situ.Stage.{State, Step}
 
   @type t :: %{
           core: Snapshot.t() | nil,
@@ -21,39 +22,47 @@ defmodule Situ.Stage.Checkpoint do
         }
 
   @spec take_snapshot(State.t()) :: {:ok, t()} | {:error, Error.t()}
-  def take_snapshot(%{phase: :failed} = state) do
+  def take_snapshot(%{steps: steps} = state) when elem(steps, 0).phase == :failed do
     path = State.head_vertex(state).path
 
     {:error,
      Error.new(:component_failed, "#{path} has failed, so it has no state for a checkpoint")}
   end
 
-  def take_snapshot(state) do
+  def take_snapshot(%{steps: steps} = state) do
+    first = elem(steps, 0)
     path = State.head_vertex(state).path
+    marks = Enum.map(list_outputs(state), &output_mark/1)
 
-    with {:ok, core} <- core(state.callback, path),
-         {:ok, steps} <- Snapshot.to_plain_data(steps(state.chain), path),
-         {:ok, timers} <- Snapshot.to_plain_data(Timers.to_list(state.timers), path),
-         {:ok, outputs} <-
-           Snapshot.to_plain_data(Enum.map(Outputs.list_all(state.outputs), &mark/1), path) do
+    with {:ok, core} <- component_snapshot(first.worker, path),
+         {:ok, operators} <- Snapshot.to_plain_data(operator_states(state), path),
+         {:ok, timers} <- Snapshot.to_plain_data(Timers.to_list(first.timers), path),
+         {:ok, outputs} <- Snapshot.to_plain_data(marks, path) do
       {:ok,
        %{
          core: core,
-         steps: steps,
+         steps: operators,
          outputs: outputs,
          timers: timers,
-         closed: Inputs.closed_names(state.inputs),
-         continue: state.pace.continue,
-         ended: ended(state)
+         closed: Inputs.closed_names(first.inputs),
+         continue: first.work.continue,
+         ended: end_actions(first)
        }}
     end
   end
 
-  # A source announces its end once; a restored one has to announce it again.
-  defp ended(%{source: %{kind: nil}}), do: []
+  defp list_outputs(state),
+    do: for(step <- State.list_steps(state), output <- Outputs.list_all(step.outputs), do: output)
 
-  defp ended(%{source: source, outputs: outputs}) do
-    closed = for {name, %{closing: time}} <- outputs.own, time != nil, do: {:close, name, time}
+  # A source announces its end once; a restored one has to announce it again.
+  defp end_actions(%{source: %{kind: nil}}), do: []
+
+  defp end_actions(%{source: source, outputs: outputs}) do
+    closed =
+      for {name, output} <- outputs.own,
+          time = Output.closing_time(output),
+          do: {:close, name, time}
+
     last = for %{last_time: time} <- Outputs.list_all(outputs), time != nil, do: time
 
     if closed == [] and source.completed,
@@ -61,31 +70,33 @@ defmodule Situ.Stage.Checkpoint do
       else: closed
   end
 
-  defp core(nil, _path), do: {:ok, nil}
-  defp core(callback, path), do: Snapshot.take_snapshot(callback.module, callback.core, path)
+  defp component_snapshot(%Callback{module: module, core: core}, path),
+    do: Snapshot.take_snapshot(module, core, path)
 
-  defp steps(nil), do: []
-  defp steps(chain), do: for({:step, _fun, index, state} <- chain.steps, do: {index, state})
+  defp component_snapshot(_chain, _path), do: {:ok, nil}
 
-  defp mark(%Output{} = output),
+  defp operator_states(state) do
+    for %{worker: %Chain{steps: steps}} <- State.list_steps(state),
+        {:step, _fun, index, operator} <- steps,
+        do: {index, operator}
+  end
+
+  defp output_mark(%Output{} = output),
     do: Map.take(output, [:last_time, :last_creation, :seq, :wanted, :future])
 
   @doc "Prepares the outputs, before the component starts, to continue after the messages that they have posted."
   @spec prepare_outputs(State.t()) :: State.t()
   def prepare_outputs(%{memory: nil} = state), do: state
 
-  def prepare_outputs(%{memory: memory, outputs: outputs} = state) do
-    marks = Enum.zip(Outputs.list_all(outputs), memory.outputs)
-
-    outputs =
-      Enum.reduce(marks, outputs, fn {%{port: port}, mark}, outputs ->
-        Outputs.map_outputs(outputs, &if(&1.port == port, do: resume_output(&1, mark), else: &1))
-      end)
-
-    %{state | outputs: outputs}
+  def prepare_outputs(%{memory: memory} = state) do
+    ports = for %{port: port} <- list_outputs(state), do: port
+    marks = Map.new(Enum.zip(ports, memory.outputs))
+    State.map_steps(state, fn step -> Step.map_outputs(step, &resume_output(&1, marks)) end)
   end
 
-  defp resume_output(output, mark), do: output |> struct!(mark) |> Output.resume_after_restart()
+  defp resume_output(output, marks) do
+    output |> struct!(Map.fetch!(marks, output.port)) |> Output.resume_after_restart()
+  end
 
   @doc "Restores the rest after the component's start; returns the actions that announce its end, if any."
   @spec restore_state(State.t()) ::
@@ -95,42 +106,43 @@ defmodule Situ.Stage.Checkpoint do
   def restore_state(%{memory: memory} = state) do
     path = State.head_vertex(state).path
 
-    with {:ok, callback} <- callback(state.callback, memory.core, path),
-         {:ok, chain} <- chain(state.chain, memory.steps, path) do
+    with {:ok, first} <- restore_component(elem(state.steps, 0), memory, path),
+         state = State.put_step(%{state | memory: nil}, 0, first),
+         {:ok, operators} <-
+           Snapshot.fill_functions(memory.steps, operator_states(state), path) do
+      {:ok, State.map_steps(state, &restore_operators(&1, Map.new(operators))), memory.ended}
+    end
+  end
+
+  defp restore_component(%{worker: %Callback{} = worker} = step, memory, path) do
+    with {:ok, core} <- Snapshot.restore_state(worker.module, memory.core, worker.core, path) do
       timers =
-        Enum.reduce(memory.timers, Timers.clear(state.timers), fn {time, key}, timers ->
-          Timers.add(timers, time, key)
-        end)
+        for {time, key} <- memory.timers, reduce: Timers.clear(step.timers) do
+          timers -> Timers.add(timers, time, key)
+        end
 
-      pace = %{state.pace | continue: memory.continue}
-      state = %{state | callback: callback, chain: chain, timers: timers, pace: pace}
-      inputs = Inputs.restore_reported(state.inputs, memory.closed)
-      {:ok, %{state | memory: nil, inputs: inputs}, memory.ended}
+      {:ok,
+       %{
+         step
+         | worker: %{worker | core: core},
+           timers: timers,
+           work: %{step.work | continue: memory.continue},
+           inputs: Inputs.restore_reported(step.inputs, memory.closed)
+       }}
     end
   end
 
-  defp callback(nil, nil, _path), do: {:ok, nil}
+  defp restore_component(step, memory, _path),
+    do: {:ok, %{step | inputs: Inputs.restore_reported(step.inputs, memory.closed)}}
 
-  defp callback(callback, snapshot, path) do
-    with {:ok, core} <- Snapshot.restore_state(callback.module, snapshot, callback.core, path),
-         do: {:ok, %{callback | core: core}}
-  end
-
-  defp chain(nil, _steps, _path), do: {:ok, nil}
-
-  defp chain(chain, steps, path) do
-    fresh = for {:step, _fun, index, state} <- chain.steps, do: {index, state}
-
-    with {:ok, steps} <- Snapshot.fill_functions(steps, fresh, path) do
-      states = Map.new(steps)
-
-      steps =
-        Enum.map(chain.steps, fn
-          {:step, fun, index, state} -> {:step, fun, index, Map.get(states, index, state)}
-          step -> step
-        end)
-
-      {:ok, %{chain | steps: steps}}
+  defp restore_operators(%{worker: %Chain{} = chain} = step, operators) do
+    restore = fn
+      {:step, fun, index, state} -> {:step, fun, index, Map.get(operators, index, state)}
+      other -> other
     end
+
+    %{step | worker: Chain.update_steps(chain, &Enum.map(&1, restore))}
   end
+
+  defp restore_operators(step, _operators), do: step
 end

@@ -2,22 +2,22 @@ defmodule Situ.Stage.RequestHandler do
   @moduledoc false
   # Handles the requests of the pipeline's server to a stage. Each request is a step of its life cycle or a change while
   # it is running.
-  alias Situ.{Clock, Error, Options}
+  alias Situ.{Clock, Error}
   alias Situ.Component.Callback
-  alias Situ.Operator.Chain
-  alias Situ.Ports.{Input, Inputs, Output, Outputs, PostingRules}
+  alias Situ.Ports.{Input, Inputs, Output, Outputs, PostingRules, Subscriber}
 
   alias Situ.Stage.{
-    CallbackRunner,
-    Subscriptions,
     ActionRunner,
-    ErrorPolicy,
-    Pause,
-    Loop,
+    CallbackRunner,
     Checkpoint,
-    MessageRunner,
+    ErrorPolicy,
+    Loop,
+    Pause,
     Production,
-    State
+    Replacement,
+    State,
+    Step,
+    Subscriptions
   }
 
   # Requests that may be answered before earlier messages: they neither start nor end anything.
@@ -54,147 +54,151 @@ defmodule Situ.Stage.RequestHandler do
       state
       |> State.wire_neighbours(wiring)
       |> Checkpoint.prepare_outputs()
-      |> start()
-      |> restored()
+      |> State.update_step(0, &start_component/1)
+      |> Loop.settle()
+      |> restore_state()
 
-    State.report_event(state, :started)
+    report(state, :started)
     {:noreply, state}
   end
 
   def handle_request(:run, state) do
-    Enum.each(state.inputs.by_tag, fn {_, input} -> Input.request_first(input) end)
-    phase = if state.phase == :failed, do: :failed, else: :running
-    {:noreply, %{state | phase: phase} |> Loop.run_slice() |> Loop.handle_early()}
+    for step <- State.list_steps(state),
+        {_, input} <- step.inputs.by_tag,
+        do: Input.request_first(input)
+
+    state =
+      State.map_steps(state, &if(&1.phase == :failed, do: &1, else: %{&1 | phase: :running}))
+
+    {:noreply, state |> Loop.run_slice() |> Loop.handle_early()}
   end
 
   def handle_request({:ask, tag}, state) do
-    with %{^tag => input} <- state.inputs.by_tag, do: Input.request_first(input)
+    with {_i, input} <- State.find_input(state, tag), do: Input.request_first(input)
     {:noreply, state}
   end
 
-  def handle_request({:refresh, from}, state),
-    do: {:noreply, outputs(state, &Output.refresh_subscriber(&1, from), from)}
+  def handle_request({:refresh, from}, state) do
+    case State.update_outputs(state, &Outputs.refresh_subscriber(&1, from)) do
+      {:ok, state} -> {:noreply, state}
+      :error -> {:noreply, state}
+    end
+  end
 
   # For a checkpoint, this stage pauses until it is resumed, or only reports its state.
   def handle_request({:freeze, ref}, state) do
-    state = state |> heard() |> ActionRunner.send_all_pending()
-    State.report_event(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
+    state = state |> release_withheld() |> Loop.run_waiting()
+    report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
     {state, actions} = Pause.wait_for_thaw(state, ref, &change/2)
-    {:noreply, state |> act(actions) |> Loop.run_slice()}
+    {:noreply, state |> apply_actions(actions) |> Loop.run_slice()}
   end
 
   def handle_request({:thaw, _ref}, state), do: {:noreply, state}
 
   def handle_request({:remember, ref}, state) do
-    State.report_event(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
+    report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
     {:noreply, state}
   end
 
   # The pipeline knows of this source's end, so later messages are measured by it.
-  def handle_request(:heard, state), do: {:noreply, state |> heard() |> Loop.run_slice()}
+  def handle_request(:heard, state),
+    do: {:noreply, state |> release_withheld() |> Loop.run_slice()}
 
   # This source has handled all messages that were sent to it before.
   def handle_request(:settle, state) do
-    State.report_event(state, :settled)
+    report(state, :settled)
     {:noreply, state}
   end
 
   # A stage upstream failed at `time`: results for later times would rest on missing messages.
   def handle_request({:limit, time}, state) do
-    final = min(state.source.final || time, time)
-    {:noreply, %{state | source: %{state.source | final: final}}}
+    limit = fn %{source: source} = step ->
+      %{step | source: %{source | final: min(source.final || time, time)}}
+    end
+
+    {:noreply, State.map_steps(state, limit)}
   end
 
   def handle_request({:stop, final}, state),
-    do: {:noreply, state |> Production.stop_source(final) |> Loop.run_slice()}
+    do:
+      {:noreply,
+       state |> State.update_step(0, &Production.stop_source(&1, final)) |> Loop.run_slice()}
 
-  def handle_request(:stop_now, state), do: {:noreply, Production.stop_now(state)}
+  def handle_request(:stop_now, state),
+    do: {:noreply, State.update_step(state, 0, &Production.stop_now/1)}
 
-  # Stopped by hand, the server has looked whether things move.
-  def handle_request(:looked, %{pace: %{continue: {:some, _term}}} = state) do
-    taken = Inputs.taken_count(state.inputs)
-
-    if state.pace.looked == taken,
-      do:
-        {:noreply,
-         state
-         |> ErrorPolicy.fail_stage(endless(state))
-         |> MessageRunner.settle_inputs()
-         |> Loop.run_slice()},
-      else: {:noreply, %{state | pace: %{state.pace | looked: taken}}}
-  end
-
-  def handle_request(:looked, state), do: {:noreply, state}
+  # The server has checked a pipeline that is being stopped for progress.
+  def handle_request(:looked, state),
+    do: {:noreply, state |> State.update_step(0, &check_progress/1) |> Loop.settle()}
 
   def handle_request({:finalize, time}, state) do
-    state =
-      state
-      |> heard()
-      |> ActionRunner.send_all_pending()
-      |> close(time)
-      |> ActionRunner.send_pending()
-
-    Subscriptions.close_probes(state, time)
-    State.report_event(state, :finalized)
+    state = state |> release_withheld() |> close_outputs(time)
+    for step <- State.list_steps(state), do: Subscriptions.close_probes(step, time)
+    report(state, :finalized)
     {:noreply, Loop.run_slice(state)}
   end
 
   # Subscribers outside the pipeline still receive their remaining messages at their own pace.
-  def handle_request(:quit, state) do
-    state = state |> heard() |> ActionRunner.send_all_pending() |> close(state.source.final || 0)
+  def handle_request(:quit, %{steps: steps} = state) do
+    state = state |> release_withheld() |> close_outputs(elem(steps, 0).source.final || 0)
 
-    if Outputs.drained?(state.outputs),
+    if State.drained?(state),
       do: {:stop, :normal, state},
-      else: {:noreply, %{state | pace: %{state.pace | quitting: true}}}
+      else: {:noreply, %{state | quitting: true}}
   end
 
   # The pipeline has failed elsewhere.
-  def handle_request({:abandon, error}, state),
-    do:
-      {:noreply,
-       state
-       |> ActionRunner.send_all_pending()
-       |> ErrorPolicy.abandon_consumers(error)
-       |> Loop.run_slice()}
+  def handle_request({:abandon, error}, state) do
+    state = Loop.run_waiting(state)
+    state = State.map_steps(state, &ErrorPolicy.abandon_consumers(&1, error))
+    {:noreply, Loop.run_slice(state)}
+  end
 
   def handle_request({:tap, tap}, state) do
     state = Subscriptions.add_tap(state, tap)
-    State.report_event(state, {:tapped, tap.tag})
+    report(state, {:tapped, tap.tag})
     {:noreply, state}
   end
 
-  # A consumer is to end before this stage does: it gets what waits for it, and the closing mark.
+  # A consumer is to end before this stage does: it receives what waits for it, and the closing mark.
   def handle_request({:cut, tag, time}, state) do
-    until = min(time, Clock.now(state.clock))
-    outputs = Outputs.map_outputs(state.outputs, &PostingRules.release_due(&1, until))
-    state = ActionRunner.send_pending(heard(%{state | outputs: outputs}))
-
-    {:noreply,
-     Loop.run_slice(%{state | outputs: Outputs.cut_subscriber(state.outputs, tag, time)})}
+    until = min(time, Clock.now(state.host.clock))
+    release = &Outputs.map_outputs(&1, fn output -> PostingRules.release_due(output, until) end)
+    state = state |> State.map_outputs(release) |> release_withheld() |> Loop.settle()
+    state = State.map_outputs(state, &Outputs.cut_subscriber(&1, tag, time))
+    {:noreply, Loop.run_slice(state)}
   end
 
-  def handle_request({:untap, tag}, state),
-    do:
-      {:noreply,
-       state |> Subscriptions.remove_subscriber(tag) |> State.wake_source() |> Loop.run_slice()}
+  def handle_request({:untap, tag}, state) do
+    state = state |> Subscriptions.remove_subscriber(tag) |> State.map_steps(&Step.wake_source/1)
+    {:noreply, Loop.run_slice(state)}
+  end
 
   def handle_request({:lend, tag, output, pid, counters, policy}, state) do
-    {answer, state} = Subscriptions.lend_output(state, tag, output, pid, counters, policy)
-    State.report_event(state, {:lent, tag, answer})
+    {answer, state} =
+      Subscriptions.lend_output(state, output, Subscriber.new(tag, pid, counters, policy))
+
+    report(state, {:lent, tag, answer})
     {:noreply, Loop.run_slice(state)}
   end
 
   def handle_request({:attach, request, last, wiring}, state),
-    do: answered(Subscriptions.attach_input(state, request, last, wiring), wiring.tag, state)
+    do:
+      state
+      |> Subscriptions.attach_input(request, last, wiring)
+      |> report_answer(wiring.tag, state)
 
   def handle_request({:detach, ref, request}, state),
-    do: answered(Subscriptions.detach_input(state, request), ref, state)
+    do: state |> Subscriptions.detach_input(request) |> report_answer(ref, state)
 
   def handle_request({:leave, input}, state),
-    do: {:noreply, state |> Subscriptions.remove_input(input) |> Loop.run_slice()}
+    do:
+      {:noreply,
+       state |> State.update_step(0, &Subscriptions.remove_input(&1, input)) |> Loop.run_slice()}
 
   def handle_request({:fail, error}, state),
-    do: {:noreply, state |> ErrorPolicy.fail_stage(error) |> Loop.run_slice()}
+    do:
+      {:noreply, state |> State.map_steps(&ErrorPolicy.fail_step(&1, error)) |> Loop.run_slice()}
 
   def handle_request(:clock, state), do: {:noreply, Loop.run_slice(state)}
 
@@ -202,42 +206,46 @@ defmodule Situ.Stage.RequestHandler do
     do: {:noreply, State.replace_neighbour(state, tag, pid)}
 
   def handle_request({:peer_gone, tag, time}, state) do
-    case state.inputs.by_tag do
-      %{^tag => input} -> {:noreply, Loop.handle_closing(state, input, time)}
-      _ -> handle_request({:untap, tag}, state)
+    case State.find_input(state, tag) do
+      nil -> handle_request({:untap, tag}, state)
+      found -> {:noreply, Loop.handle_closing(state, found, time)}
     end
   end
 
   def handle_request({:replace, _ref, _index, _module, _opts} = request, state) do
     {state, actions} = change(request, state)
-    {:noreply, state |> act(actions) |> Loop.run_slice()}
+    {:noreply, state |> apply_actions(actions) |> Loop.run_slice()}
   end
 
   def handle_request({:guarantee, tag, keep?}, state) do
-    outputs = Outputs.map_outputs(state.outputs, &Output.put_guarantee(&1, tag, keep?))
+    put = fn step ->
+      outputs = Outputs.map_tagged(step.outputs, tag, &Subscriber.put_guarantee(&1, keep?))
+      %{step | outputs: outputs, inputs: Inputs.put_guarantee(step.inputs, tag, keep?)}
+    end
 
-    {:noreply,
-     %{state | outputs: outputs, inputs: Inputs.put_guarantee(state.inputs, tag, keep?)}}
+    {:noreply, State.map_steps(state, put)}
   end
 
-  def handle_request(:describe, state) do
-    State.report_event(
-      state,
-      {:description, state.callback && Callback.describe_state(state.callback)}
-    )
-
+  def handle_request(:describe, %{steps: steps} = state) do
+    worker = elem(steps, 0).worker
+    text = if is_struct(worker, Callback), do: Callback.describe_state(worker)
+    report(state, {:description, text})
     {:noreply, state}
   end
 
-  # Carried out; the component's actions are still to be done.
+  defp report(%{steps: steps}, event), do: Step.report_event(elem(steps, 0), event)
+
+  # Performs a request; the component's actions are still to be applied.
   defp change({:replace, ref, index, module, opts}, state) do
-    case replace(state, index, module, opts) do
-      {:ok, state, actions} ->
-        State.report_event(state, {:replaced, ref, :ok})
-        {state, actions}
+    {i, step} = State.step_at(state, index)
+
+    case Replacement.replace(step, index, module, opts) do
+      {:ok, step, actions} ->
+        report(state, {:replaced, ref, :ok})
+        {State.put_step(state, i, step), actions}
 
       {:error, error} ->
-        State.report_event(state, {:replaced, ref, {:error, error}})
+        report(state, {:replaced, ref, {:error, error}})
         {state, []}
     end
   end
@@ -248,32 +256,38 @@ defmodule Situ.Stage.RequestHandler do
   end
 
   # The start time is the time of the first activation.
-  defp start(%{callback: nil} = state), do: state
-
-  defp start(state) do
-    case Callback.call_callback(state.callback, :handle_start, [state.context]) do
-      {:ok, actions, core} ->
-        state |> CallbackRunner.apply_result(core, actions, Clock.now(state.clock))
-
-      {:error, error} ->
-        CallbackRunner.handle_error(state, error)
+  defp start_component(%{worker: %Callback{} = worker} = step) do
+    case Callback.call_callback(worker, :handle_start, [step.context]) do
+      {:ok, actions, core} -> CallbackRunner.apply_result(step, core, actions)
+      {:error, error} -> CallbackRunner.handle_error(step, error)
     end
-    |> Loop.run_slice()
   end
 
-  defp restored(state) do
+  defp start_component(step), do: step
+
+  defp restore_state(state) do
     with {:ok, state, ended} <- Checkpoint.restore_state(state),
-         {:ok, state} <- ActionRunner.apply_actions(state, ended, Clock.now(state.clock)) do
-      state
+         {:ok, step} <- ActionRunner.apply_actions(elem(state.steps, 0), ended) do
+      State.put_step(state, 0, step)
     else
-      {:error, error} -> ErrorPolicy.fail_stage(state, error)
+      {:error, error} -> State.update_step(state, 0, &ErrorPolicy.fail_step(&1, error))
     end
   end
 
-  defp heard(state), do: %{state | outputs: Outputs.set_waiting(state.outputs, false)}
+  defp release_withheld(state), do: State.map_outputs(state, &Outputs.set_withheld(&1, false))
 
-  defp endless(state) do
-    path = State.head_vertex(state).path
+  defp check_progress(%{work: %{continue: {:some, _term}} = work} = step) do
+    taken = Inputs.taken_count(step.inputs)
+
+    if work.looked == taken,
+      do: ErrorPolicy.fail_step(step, endless(step)),
+      else: %{step | work: %{work | looked: taken}}
+  end
+
+  defp check_progress(step), do: step
+
+  defp endless(step) do
+    path = Step.head_vertex(step).path
 
     Error.new(:stuck, "#{path} did not finish handling one message",
       why: "the stop waited, and it has taken nothing else since",
@@ -283,67 +297,41 @@ defmodule Situ.Stage.RequestHandler do
     )
   end
 
-  # At `time`; where later messages count, not before the last one.
-  defp close(state, time) do
-    whole? = State.final_time(state) >= State.no_final_time() - 1 and state.control != nil
-
-    close = fn output ->
-      Output.close(output, if(whole?, do: max(output.last_time || time, time), else: time))
-    end
-
-    %{state | outputs: Outputs.map_outputs(state.outputs, close)}
+  # Closes the outputs at `time`, each after everything that waits before it in the stage. If later messages count, they
+  # close no earlier than their last message.
+  defp close_outputs(%{steps: steps} = state, time) do
+    Enum.reduce(0..(tuple_size(steps) - 1), state, fn i, state ->
+      state = Loop.run_waiting(state)
+      State.update_step(state, i, &close_step(&1, time))
+    end)
+    |> Loop.settle()
   end
 
-  defp replace(%{chain: chain} = state, index, :operator, step) when chain != nil do
-    plain = with {:keep, step} <- step, do: step
-    vertices = List.update_at(state.vertices, index, &%{&1 | opts: plain})
-    {:ok, %{state | vertices: vertices, chain: Chain.replace_step(chain, index, step)}, []}
+  defp close_step(step, time) do
+    all_count? = Step.final_time(step) >= Step.no_final_time() - 1 and step.host.control != nil
+
+    Step.map_outputs(step, fn output ->
+      Output.close(output, if(all_count?, do: max(output.last_time || time, time), else: time))
+    end)
   end
 
-  defp replace(state, 0, _module, {:keep, opts}) do
-    with {:ok, callback} <- Callback.replace_functions(state.callback, opts) do
-      state = State.put_head(state, %{State.head_vertex(state) | opts: opts})
-      {:ok, %{state | callback: callback}, []}
-    end
+  defp apply_actions(state, []), do: state
+
+  defp apply_actions(state, actions) do
+    State.update_step(state, 0, fn step ->
+      step = Step.read_clock(step)
+      CallbackRunner.apply_result(step, step.worker.core, actions)
+    end)
   end
 
-  defp replace(state, 0, module, opts) do
-    context = State.context_at(state, Clock.now(state.clock))
-
-    with {:ok, opts} <- Options.validate(opts, module.options()),
-         {:ok, callback, actions} <-
-           Callback.replace_component(state.callback, module, opts, context) do
-      state = State.put_head(state, %{State.head_vertex(state) | module: module, opts: opts})
-      {:ok, %{state | callback: callback}, actions}
-    end
-  end
-
-  defp act(state, []), do: state
-
-  defp act(state, actions),
-    do: CallbackRunner.apply_result(state, state.callback.core, actions, Clock.now(state.clock))
-
-  defp answered({:ok, reply, state}, ref, _before) do
-    State.report_event(state, {:answered, ref, {:ok, reply}, state.callback.opts})
+  defp report_answer({:ok, reply, state}, ref, _before) do
+    report(state, {:answered, ref, {:ok, reply}, elem(state.steps, 0).worker.opts})
     {:noreply, Loop.run_slice(state)}
   end
 
-  defp answered({:error, error}, ref, state) do
-    State.report_event(
-      state,
-      {:answered, ref, {:error, error}, state.callback && state.callback.opts}
-    )
-
+  defp report_answer({:error, error}, ref, %{steps: steps} = state) do
+    opts = with(%Callback{opts: opts} <- elem(steps, 0).worker, do: opts, else: (_ -> nil))
+    report(state, {:answered, ref, {:error, error}, opts})
     {:noreply, state}
-  end
-
-  defp outputs(state, fun, from) do
-    outputs =
-      Outputs.map_outputs(
-        state.outputs,
-        &if(Output.has_subscriber?(&1, from), do: fun.(&1), else: &1)
-      )
-
-    %{state | outputs: outputs}
   end
 end

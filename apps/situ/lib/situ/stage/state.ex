@@ -1,221 +1,242 @@
 defmodule Situ.Stage.State do
   @moduledoc false
-  # The state of a stage: one part for each concern, owned by the module of its type. This module only builds and wires
-  # the state.
-  alias Situ.{Clock, Error}
-  alias Situ.Clock.Timers
-  alias Situ.Component.{Callback, Context}
+  # The state of a stage: its steps in the order in which messages pass through them, and what concerns its mailbox.
+  # Messages between two steps go from the output of one to the input of the other without a queue between processes.
+  alias Situ.{Delivery, Error}
   alias Situ.Graph.Vertex
-  alias Situ.Operator.Chain
-  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber, ErrorCounters}
-  alias Situ.Stage.{Scheduling, SourceState}
+  alias Situ.Ports.{Input, Output, Outputs, Subscriber}
+  alias Situ.Stage.{ErrorPolicy, Step}
 
-  @never 9_000_000_000_000_000_000
-
-  @enforce_keys [:owner, :vertices, :context, :tally, :source, :outputs]
+  @enforce_keys [:host, :steps]
   defstruct [
-    :owner,
-    :vertices,
-    :context,
-    :tally,
-    :source,
-    :outputs,
-    :callback,
-    :chain,
-    :clock,
-    :control,
+    :host,
+    :steps,
     :memory,
-    inputs: %Inputs{},
-    timers: %Timers{},
-    pace: %Scheduling{},
-    phase: :starting
+    links: %{},
+    early: [],
+    scheduled: false,
+    quitting: false,
+    large_heap: false
   ]
 
   @typedoc """
-  `owner` is the pipeline's server and the stage's id there. `callback` is the component; `chain` its light
-  operators, or those after it (one of the two may be `nil`). `control` holds shared cells: the time up to which
-  messages count, and whether the stage is patient. In phase `:failed` it takes no more messages. `memory` is the
-  snapshot that it starts with (see Memory).
+  `links` maps the tag of each connection between two steps to the position of the second one. `early` holds plain
+  messages that arrived before the stage was running, newest first. With `scheduled`, a message to itself asks for
+  another time slice. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
+  starts with (see Checkpoint).
   """
   @type t :: %__MODULE__{
-          owner: {server :: pid(), id :: pos_integer()},
-          vertices: [Vertex.t(), ...],
-          context: Context.t(),
-          tally: ErrorCounters.t(),
-          source: SourceState.t(),
-          outputs: Outputs.t(),
-          callback: Callback.t() | nil,
-          chain: Chain.t() | nil,
-          clock: Clock.t() | nil,
-          control: :atomics.atomics_ref() | nil,
+          host: Step.host(),
+          steps: tuple(),
           memory: map() | nil,
-          inputs: Inputs.t(),
-          timers: Timers.t(),
-          pace: Scheduling.t(),
-          phase: :starting | :running | :failed
+          links: %{term() => non_neg_integer()},
+          early: [term()],
+          scheduled: boolean(),
+          quitting: boolean(),
+          large_heap: boolean()
         }
 
-  @doc "Returns the content of the control cell until the pipeline stops: no final time."
-  @spec no_final_time() :: integer()
-  def no_final_time, do: @never
-
   @spec new(map()) :: t()
-  def new(%{vertices: [head | _] = vertices} = args) do
-    %__MODULE__{
-      owner: {args.server, args.id},
-      vertices: vertices,
-      context: %Context{path: head.path, pipeline: args.handle},
-      tally: args.tally,
-      memory: args[:memory],
-      source: SourceState.new(head),
-      outputs: Outputs.new(vertices, args[:marks]),
-      callback: if(head.module != :operator, do: Callback.new(head)),
-      chain: chain(vertices, args)
-    }
+  def new(%{vertices: vertices} = args) do
+    host = %{owner: {args.server, args.id}, errors: args.tally, clock: nil, control: nil}
+
+    {steps, _outputs} =
+      vertices
+      |> Step.group_vertices()
+      |> Enum.map_reduce(0, fn {_index, group} = vertices, first ->
+        {Step.new(vertices, host, args, first), first + length(List.last(group).outputs)}
+      end)
+
+    state = %__MODULE__{host: host, steps: List.to_tuple(steps), memory: args[:memory]}
+    connect_steps(state, args)
   end
 
-  # Behind a component the edge into the operators is counted like a queue.
-  defp chain([%{module: :operator} | _] = vertices, _args), do: Chain.compile(vertices, 0)
-  defp chain([_component], _args), do: nil
-
-  defp chain([_component | operators], args) do
-    chain = Chain.compile(operators, 1)
-    %{chain | counters: args[:tail_counters], sizes: args[:sizes]}
+  # The connection between a component and the operators after it is counted like a queue.
+  defp connect_steps(%{steps: {first, second}} = state, args) do
+    policy = Delivery.unlimited(window: :infinity)
+    opts = %{type: :any, check: :off, counters: args.tail_counters, sizes: args.sizes}
+    tag = {:step, 1}
+    sub = Subscriber.new_local(tag, args.tail_counters)
+    first = Step.map_outputs(first, &Output.subscribe(&1, sub))
+    second = Step.put_input(second, Input.new(:in, tag, nil, policy, opts))
+    %{state | steps: {first, second}, links: %{tag => 1}}
   end
 
-  @doc "Initializes the component's state."
-  @spec init(t()) :: {:ok, t()} | {:error, Error.t()}
-  def init(%{callback: nil} = state), do: {:ok, state}
+  defp connect_steps(state, _args), do: state
 
-  def init(state) do
-    with {:ok, callback} <- Callback.start_component(state.callback),
-         do: {:ok, %{state | callback: callback}}
+  @doc "Returns the component or the first operator of the stage."
+  @spec head_vertex(t()) :: Vertex.t()
+  def head_vertex(%__MODULE__{steps: steps}), do: Step.head_vertex(elem(steps, 0))
+
+  @spec list_steps(t()) :: [Step.t(), ...]
+  def list_steps(%__MODULE__{steps: steps}), do: Tuple.to_list(steps)
+
+  @spec map_steps(t(), (Step.t() -> Step.t())) :: t()
+  def map_steps(%__MODULE__{steps: steps} = state, fun),
+    do:
+      0..(tuple_size(steps) - 1)
+      |> Enum.reduce(state, &put_step(&2, &1, fun.(elem(&2.steps, &1))))
+
+  @doc "Replaces the step at position `i`. If it has failed, the whole stage fails."
+  @spec put_step(t(), non_neg_integer(), Step.t()) :: t()
+  def put_step(%__MODULE__{steps: {_, _} = steps} = state, i, %{phase: :failed} = step) do
+    if elem(steps, i).phase == :failed,
+      do: %{state | steps: put_elem(steps, i, step)},
+      else: fail_steps(%{state | steps: put_elem(steps, i, step)}, step.work.failure)
+  end
+
+  def put_step(%__MODULE__{steps: steps} = state, i, step),
+    do: %{state | steps: put_elem(steps, i, step)}
+
+  defp fail_steps(%{steps: steps} = state, error) do
+    steps = for step <- Tuple.to_list(steps), do: ErrorPolicy.abandon_step(step, error)
+    %{state | steps: List.to_tuple(steps)}
+  end
+
+  @spec update_step(t(), non_neg_integer(), (Step.t() -> Step.t())) :: t()
+  def update_step(%__MODULE__{steps: steps} = state, i, fun),
+    do: put_step(state, i, fun.(elem(steps, i)))
+
+  @doc "Returns the position of the step with the input `tag`, and the input."
+  @spec find_input(t(), term()) :: {non_neg_integer(), Input.t()} | nil
+  def find_input(%__MODULE__{steps: steps}, tag), do: find_input(steps, tag, 0)
+
+  defp find_input(steps, _tag, i) when i == tuple_size(steps), do: nil
+
+  defp find_input(steps, tag, i) do
+    case elem(steps, i).inputs.by_tag do
+      %{^tag => input} -> {i, input}
+      _ -> find_input(steps, tag, i + 1)
+    end
+  end
+
+  @doc "Updates the outputs with `fun` in the first step for which it does not return `:error`."
+  @spec update_outputs(t(), (Outputs.t() -> {:ok, Outputs.t()} | :error)) :: {:ok, t()} | :error
+  def update_outputs(%__MODULE__{} = state, fun),
+    do: update_outputs(state, fun, tuple_size(state.steps) - 1)
+
+  defp update_outputs(_state, _fun, -1), do: :error
+
+  defp update_outputs(state, fun, i) do
+    step = elem(state.steps, i)
+
+    case fun.(step.outputs) do
+      {:ok, outputs} -> {:ok, put_step(state, i, %{step | outputs: outputs})}
+      :error -> update_outputs(state, fun, i - 1)
+    end
+  end
+
+  @doc "Updates the outputs of every step."
+  @spec map_outputs(t(), (Outputs.t() -> Outputs.t())) :: t()
+  def map_outputs(%__MODULE__{} = state, fun),
+    do: map_steps(state, &%{&1 | outputs: fun.(&1.outputs)})
+
+  @spec list_subscribers(t()) :: [Subscriber.t()]
+  def list_subscribers(%__MODULE__{} = state),
+    do: for(step <- list_steps(state), sub <- Outputs.list_subscribers(step.outputs), do: sub)
+
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{} = state),
+    do: Enum.all?(list_steps(state), &Outputs.drained?(&1.outputs))
+
+  @doc "Returns the last step, whose outputs others can subscribe to."
+  @spec last_step(t()) :: {non_neg_integer(), Step.t()}
+  def last_step(%__MODULE__{steps: steps}) do
+    i = tuple_size(steps) - 1
+    {i, elem(steps, i)}
+  end
+
+  @doc "Returns the position of the step that holds the stage's vertex at `index`, and the step."
+  @spec step_at(t(), non_neg_integer()) :: {non_neg_integer(), Step.t()}
+  def step_at(%__MODULE__{} = state, index) do
+    state
+    |> list_steps()
+    |> Enum.with_index(&{&2, &1})
+    |> Enum.find(fn {_i, step} -> index < step.index + length(step.vertices) end)
   end
 
   @doc "Sets the clock, the neighbours and their counters, which are known once every stage is up."
   @spec wire_neighbours(t(), map()) :: t()
-  def wire_neighbours(state, wiring) do
-    outputs =
-      Enum.reduce(wiring.subs, state.outputs, fn {name, subs}, outputs ->
-        subs =
-          for {tag, pid, counters, policy} <- subs, do: Subscriber.new(tag, pid, counters, policy)
+  def wire_neighbours(%__MODULE__{host: host} = state, wiring) do
+    host = %{host | clock: wiring.clock, control: wiring.control}
+    state = map_steps(%{state | host: host}, &wire_step(%{&1 | host: host}, wiring))
 
-        Outputs.update_open(outputs, name, &%{&1 | subs: subs})
-      end)
+    state
+    |> update_step(0, &wire_inputs(&1, wiring))
+    |> update_step(tuple_size(state.steps) - 1, &wire_outputs(&1, wiring))
+  end
 
+  defp wire_step(step, wiring) do
     context = %{
-      state.context
+      step.context
       | start_time: wiring.start_time,
         now: wiring.now,
         replay_start: wiring.replay_start,
         replay_end: wiring.replay_end,
-        enforced?: wiring.enforce and hd(state.vertices).holds
+        enforced?: wiring.enforce and Step.head_vertex(step).holds
     }
 
-    inputs = Inputs.new(for inlet <- wiring.inlets, do: input(state, inlet, wiring.sizes))
-
-    %{
-      state
-      | clock: wiring.clock,
-        control: wiring.control,
-        context: context,
-        outputs: outputs,
-        inputs: inputs
-    }
+    %{step | context: context}
   end
 
-  defp input(%{vertices: [head | _]}, inlet, sizes) do
-    port = Keyword.fetch!(head.inputs, inlet.name)
-    extra = %{type: port.type, check: head.check, counters: inlet.counters, sizes: sizes}
-    Input.new(inlet.name, inlet.tag, inlet.producer, inlet.policy, extra)
+  defp wire_inputs(step, wiring) do
+    head = Step.head_vertex(step)
+
+    Enum.reduce(wiring.inlets, step, fn inlet, step ->
+      port = Keyword.fetch!(head.inputs, inlet.name)
+      opts = %{type: port.type, check: head.check, counters: inlet.counters, sizes: wiring.sizes}
+      input = Input.new(inlet.name, inlet.tag, inlet.producer, inlet.policy, opts)
+      Step.put_input(step, input)
+    end)
+  end
+
+  defp wire_outputs(step, wiring) do
+    Step.map_outputs(step, fn %{port: %{name: name}} = output ->
+      subs =
+        for {tag, pid, counters, policy} <- Map.get(wiring.subs, name, []),
+            do: Subscriber.new(tag, pid, counters, policy)
+
+      %{output | subs: subs}
+    end)
   end
 
   @doc "Replaces the pid of a restarted neighbour."
   @spec replace_neighbour(t(), term(), pid()) :: t()
-  def replace_neighbour(state, tag, pid) do
-    inputs =
-      case state.inputs.by_tag do
-        %{^tag => input} -> Inputs.put(state.inputs, Input.replace_producer(input, pid))
-        _ -> state.inputs
+  def replace_neighbour(%__MODULE__{} = state, tag, pid) do
+    state =
+      case find_input(state, tag) do
+        nil -> state
+        {i, input} -> put_input(state, i, Input.replace_producer(input, pid))
       end
 
-    outputs =
-      Outputs.map_outputs(state.outputs, fn %Output{} = output ->
-        subs =
-          Enum.map(
-            output.subs,
-            &if(&1.tag == tag, do: Subscriber.replace_consumer(&1, pid), else: &1)
-          )
-
-        %{output | subs: subs}
-      end)
-
-    %{state | inputs: inputs, outputs: outputs}
+    map_outputs(
+      state,
+      &Outputs.map_tagged(&1, tag, fn sub -> Subscriber.replace_consumer(sub, pid) end)
+    )
   end
+
+  @spec put_input(t(), non_neg_integer(), Input.t()) :: t()
+  def put_input(%__MODULE__{} = state, i, input),
+    do: update_step(state, i, &Step.put_input(&1, input))
 
   @doc "Returns the output named in `output: name`; a single output needs no name."
   @spec find_output(t(), keyword()) :: {:ok, Output.t()} | {:error, Error.t()}
-  def find_output(state, opts) do
-    case {Keyword.fetch(opts, :output), Outputs.open_outputs(state.outputs)} do
-      {:error, [{_, output}]} -> {:ok, output}
-      {:error, _} -> {:error, no_output(state, opts)}
-      {{:ok, name}, open} -> check_output(List.keyfind(open, name, 0), state, opts)
+  def find_output(%__MODULE__{} = state, opts) do
+    {_i, step} = last_step(state)
+
+    case {Keyword.fetch(opts, :output), Outputs.list_all(step.outputs)} do
+      {:error, [output]} ->
+        {:ok, output}
+
+      {:error, _} ->
+        {:error, Step.unknown_output(step, nil)}
+
+      {{:ok, name}, _} ->
+        with(
+          :error <- Outputs.fetch(step.outputs, name),
+          do: {:error, Step.unknown_output(step, name)}
+        )
     end
-  end
-
-  defp check_output({_, output}, _state, _opts), do: {:ok, output}
-  defp check_output(nil, state, opts), do: {:error, no_output(state, opts)}
-
-  @doc "Returns the component, or the first operator of a chain."
-  @spec head_vertex(t()) :: Vertex.t()
-  def head_vertex(%{vertices: [head | _]}), do: head
-
-  @doc "Replaces the component, or the first operator of a chain."
-  @spec put_head(t(), Vertex.t()) :: t()
-  def put_head(%{vertices: [_ | rest]} = state, head), do: %{state | vertices: [head | rest]}
-
-  @doc "Returns the context for a callback, with the current time."
-  @spec context_at(t(), Situ.Time.t()) :: Context.t()
-  def context_at(%{context: context}, now), do: %{context | now: now}
-
-  @doc "Returns the time up to which messages count."
-  @spec final_time(t()) :: integer()
-  def final_time(%{control: nil}), do: @never
-  def final_time(%{control: control}), do: :atomics.get(control, 1)
-
-  @doc "Sets whether messages are taken and sent."
-  @spec set_demand(t(), :accumulate | :forward) :: t()
-  def set_demand(state, mode),
-    do: set_patience(%{state | outputs: %{state.outputs | demand: mode}}, mode == :accumulate)
-
-  @doc "Sets whether the stage waits for the outside world or for the clock, so that it does not count as stuck."
-  @spec set_patience(t(), boolean()) :: t()
-  def set_patience(%{control: nil} = state, _waits?), do: state
-
-  def set_patience(state, waits?) do
-    :atomics.put(state.control, 2, if(waits?, do: 1, else: 0))
-    state
-  end
-
-  @spec patient?(:atomics.atomics_ref()) :: boolean()
-  def patient?(control), do: :atomics.get(control, 2) == 1
-
-  @doc "Wakes a source without messages after an event that it may have been waiting for."
-  @spec wake_source(t()) :: t()
-  def wake_source(%{source: %{idle: false}} = state), do: state
-  def wake_source(state), do: %{state | source: SourceState.wake(state.source)}
-
-  @doc "Reports an event to the pipeline's server."
-  @spec report_event(t(), term()) :: term()
-  def report_event(%{owner: {server, id}}, event), do: send(server, {:situ_stage, id, event})
-
-  defp no_output(state, opts) do
-    known = state.outputs |> Outputs.open_outputs() |> Enum.map_join(", ", &inspect(elem(&1, 0)))
-
-    Error.new(
-      :unknown_output,
-      "#{head_vertex(state).path} has no output #{inspect(opts[:output])}",
-      fix: "subscribe with output: one of " <> known
-    )
   end
 end

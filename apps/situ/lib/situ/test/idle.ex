@@ -34,18 +34,21 @@ defmodule Situ.Test.Idle do
 
   # The request is queued after all earlier messages, so the reply means that those have been handled.
   defp probe_process(pid, now) do
-    case :sys.get_state(pid) do
-      %State{timers: %{alarm: {due, _wait, _timer}}} when due <= now ->
-        [:due]
-
-      %State{callback: %{core: %Processes{} = core}} = state ->
-        branches = Enum.flat_map(Processes.branch_pipelines(core), &probe_pipeline(&1, now))
-        [:erlang.phash2(state) | branches]
-
-      state ->
-        [:erlang.phash2(state)]
-    end
+    state = :sys.get_state(pid)
+    [:erlang.phash2(state) | probe_steps(state, now)]
   catch
     :exit, _ended -> [:ended]
   end
+
+  defp probe_steps(%State{} = state, now),
+    do: state |> State.list_steps() |> Enum.flat_map(&probe_step(&1, now))
+
+  defp probe_steps(_server, _now), do: []
+
+  defp probe_step(%{timers: %{alarm: {due, _wait, _timer}}}, now) when due <= now, do: [:due]
+
+  defp probe_step(%{worker: %{core: %Processes{} = core}}, now),
+    do: Enum.flat_map(Processes.branch_pipelines(core), &probe_pipeline(&1, now))
+
+  defp probe_step(_step, _now), do: []
 end

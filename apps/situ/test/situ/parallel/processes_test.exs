@@ -208,7 +208,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       for pid <- links,
           is_pid(pid),
-          %Situ.Stage.State{callback: %{module: module}} <- [:sys.get_state(pid)],
+          %Situ.Stage.State{steps: {%{worker: %{module: module}}}} <- [:sys.get_state(pid)],
           module != Situ.Parallel.Processes,
           do: pid
     end
@@ -380,7 +380,7 @@ defmodule Situ.Parallel.ProcessesTest do
       for pid <- links,
           is_pid(pid),
           match?(
-            %Situ.Stage.State{callback: %{module: Situ.Parallel.Processes}},
+            %Situ.Stage.State{steps: {%{worker: %{module: Situ.Parallel.Processes}}}},
             :sys.get_state(pid)
           ),
           do: Process.exit(pid, :kill)

@@ -60,11 +60,7 @@ defmodule Situ.Ports.CountersTest do
     picture = %{data: :binary.copy(<<0>>, 500), width: 20}
     term = {:some, "term"}
 
-    messages =
-      for data <- [<<1, 2, 3>>, picture, term],
-          do: %Situ.Message{data: data, originating_time: 0}
-
-    Counters.count_sizes(ref, messages)
+    Counters.count_sizes(ref, [<<1, 2, 3>>, picture, term])
     last = :erlang.external_size(term)
     assert %{size_last: ^last, size_mean: mean} = read(ref)
     assert mean == div(503 + last, 3)

@@ -253,7 +253,7 @@ defmodule Situ.Stage.RequestHandlerTest do
     [sink] = for {"Sink", pid, _, _} <- Supervisor.which_children(p), do: pid
     monitor = Process.monitor(sink)
     send(sink, {:situ, {:stop, 1_000_000}})
-    assert %{phase: :running, source: %{stopping: :done}} = :sys.get_state(sink)
+    assert %{steps: {%{phase: :running, source: %{stopping: :done}}}} = :sys.get_state(sink)
     refute_received {:DOWN, ^monitor, :process, _, _}
     assert Pipeline.state(p) == :running
     Process.exit(p, :kill)

@@ -84,7 +84,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
       {:ok, outlet} = PostingRules.emit(outlet, i, i, 0, false)
       outlet
     end)
-    |> Output.flush()
+    |> Output.flush(0)
   end
 
   defp received(tag) do

@@ -182,7 +182,7 @@ defmodule Situ.Fusion.InputsTest do
         for pid <- links,
             is_pid(pid),
             match?(
-              %Situ.Stage.State{callback: %{module: Fusion.FuseComponent}},
+              %Situ.Stage.State{steps: {%{worker: %{module: Fusion.FuseComponent}}}},
               :sys.get_state(pid)
             ),
             do: pid

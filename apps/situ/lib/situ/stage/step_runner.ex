@@ -1,0 +1,377 @@
+defmodule Situ.Stage.StepRunner do
+  @moduledoc false
+  # Runs one step of a stage: takes messages that belong together from its inputs, runs them through its component or
+  # its operators, and counts them. Nothing is sent before `settle/2`.
+  alias Situ.Clock.Timers
+  alias Situ.Component.Callback
+  alias Situ.Operator.Chain
+  alias Situ.Ports.{Batch, Input, Inputs, Output, Outputs}
+  alias Situ.Stage.{CallbackRunner, ErrorPolicy, Production, Step, Work}
+  require Chain
+
+  @typedoc "The step has nothing to do, may have more, or lets the stage look into its mailbox first."
+  @type outcome :: :idle | :more | :yield
+  @typep limits :: {room :: integer() | :infinity, deadline :: integer()}
+
+  @doc """
+  Runs the next messages of the step, as far as there is `room` in its outputs, and no longer than the monotonic time
+  `deadline`.
+  """
+  @spec run_next(Step.t(), limits()) :: {outcome(), Step.t()}
+  def run_next(%{phase: :failed} = step, _limits), do: {:idle, discard_inputs(step)}
+  def run_next(step, {room, _deadline}) when room < 1, do: {:idle, step}
+
+  # The component has more output for the messages it has received.
+  def run_next(%{work: %{continue: {:some, term}} = work} = step, _limits) do
+    step = %{step | work: %{work | continue: :none}}
+    {:more, CallbackRunner.call_callback(step, :handle_info, [{:continue, term}])}
+  end
+
+  def run_next(%{worker: worker, work: work} = step, {room, _deadline} = limits) do
+    case Inputs.earliest_input(step.inputs) do
+      nil ->
+        Production.produce_messages(step, room)
+
+      %{lossy: nil} = input ->
+        if takes_batches?(worker, input) and work.singly == 0,
+          do: take_batch(step, input, limits),
+          else: run_singly(step, limits)
+
+      input ->
+        run_newest(step, input)
+    end
+  end
+
+  defp takes_batches?(%Chain{}, _input), do: true
+  defp takes_batches?(%Callback{batch: batch?}, input), do: batch? and input.check == :off
+
+  # A chain or a component with `handle_messages/4` takes as many messages as there is room for.
+  defp take_batch(step, input, {room, deadline}) do
+    case Input.take_batch(input, min(room, step.work.slice)) do
+      {nil, input} -> {:more, take_closing(step, input)}
+      {batch, input} -> run_batch(step, input, batch, deadline)
+    end
+  end
+
+  defp run_batch(step, input, batch, deadline) do
+    {batch, input} = drop_late(batch, input, Step.final_time(step))
+    step = step |> Step.put_input(input) |> Step.read_clock()
+
+    case {batch, step.worker} do
+      {nil, _worker} -> {:more, step}
+      {batch, %Chain{}} -> run_chain(step, input.tag, batch, deadline)
+      {batch, %Callback{}} -> call_batch(step, input, batch)
+    end
+  end
+
+  # Messages later than the final time of a pipeline that stops do not count.
+  defp drop_late(batch, input, final) do
+    if final == Step.no_final_time() do
+      {batch, input}
+    else
+      {batch, late} = Batch.split_after(batch, final)
+      {batch, if(late, do: Input.drop_taken(input, Batch.size(late)), else: input)}
+    end
+  end
+
+  defp call_batch(%{worker: worker} = step, %{name: name, tag: tag}, batch) do
+    messages = Batch.messages(batch)
+
+    with {:ok, actions, core} <-
+           Callback.run_handle_messages(worker, name, messages, step.context),
+         {:ok, step} <- CallbackRunner.try_result(step, core, actions) do
+      {:more, count_batch(step, tag, batch, nil)}
+    else
+      # All messages are handled one by one, before another batch is tried.
+      _error ->
+        input = Input.put_back(Map.fetch!(step.inputs.by_tag, tag), batch)
+        work = %{step.work | singly: length(messages)}
+        {:more, Step.put_input(%{step | work: work}, input)}
+    end
+  end
+
+  # Counts the part of a batch that was handled, and returns the other one to the input.
+  defp count_batch(step, tag, done, rest) do
+    n = Batch.size(done)
+    taken = if rest, do: n + Batch.size(rest), else: n
+    work = Work.count_slice(step.work, n, taken, Step.elapsed(step))
+    input = Map.fetch!(step.inputs.by_tag, tag)
+    input = Input.count_handled(input, n, Batch.last_time(done), step.context.now)
+    Step.put_input(%{step | work: work}, return_rest(input, rest, step.phase))
+  end
+
+  defp return_rest(input, nil, _phase), do: input
+  defp return_rest(input, rest, :failed), do: Input.drop_taken(input, Batch.size(rest))
+  defp return_rest(input, rest, _phase), do: Input.put_back(input, rest)
+
+  # Two messages are not worth a look at the time.
+  defp run_chain(step, tag, batch, deadline) do
+    till = if Batch.size(batch) > 2, do: deadline, else: :never
+    {results, chain, outcome} = Chain.run_batch(step.worker, batch, till)
+    step = %{step | worker: chain}
+
+    case split_handled(batch, results, outcome) do
+      {done, nil, nil} ->
+        {:more, step |> post_results(results, done) |> count_batch(tag, done, nil)}
+
+      {done, nil, rest} ->
+        {:yield, step |> post_results(results, done) |> count_batch(tag, done, rest)}
+
+      {done, message, rest} ->
+        step = step |> post_results(results, done) |> fail_operator(outcome, message)
+        done = if done, do: Batch.messages(done) ++ [message], else: [message]
+        {:more, count_batch(step, tag, done, rest)}
+    end
+  end
+
+  # Returns the messages with a result, the message at which an operator failed, and the others.
+  defp split_handled(batch, _results, :done), do: {batch, nil, nil}
+
+  defp split_handled(batch, results, :late) do
+    {done, rest} = Batch.split(batch, length(results))
+    {done, nil, rest}
+  end
+
+  defp split_handled(batch, [], _failure) do
+    {message, rest} = Batch.pop(batch)
+    {nil, message, rest}
+  end
+
+  defp split_handled(batch, results, _failure) do
+    {done, rest} = Batch.split(batch, length(results))
+    {message, rest} = Batch.pop(rest)
+    {done, message, rest}
+  end
+
+  defp post_results(step, _results, nil), do: step
+
+  defp post_results(step, results, batch) do
+    %{own: [{_name, output}]} = step.outputs
+    {times, results} = drop_skipped(step.worker, Batch.times(batch), results)
+    output = Output.post_batch(output, {Batch.base(batch), times, results}, step.context.now)
+    output = %{output | last_time: Batch.last_time(batch)}
+    %{step | outputs: Outputs.put(step.outputs, output)}
+  end
+
+  defp drop_skipped(%{skips?: false}, times, results), do: {times, results}
+
+  defp drop_skipped(_chain, times, results) do
+    if :lists.member(Chain.skip(), results),
+      do: drop_skipped(times, results, [], []),
+      else: {times, results}
+  end
+
+  defp drop_skipped([], [], times, results), do: {:lists.reverse(times), :lists.reverse(results)}
+
+  defp drop_skipped([_ | times], [Chain.skip() | results], kept, data),
+    do: drop_skipped(times, results, kept, data)
+
+  defp drop_skipped([time | times], [result | results], kept, data),
+    do: drop_skipped(times, results, [time | kept], [result | data])
+
+  defp fail_operator(step, {:situ_step, index, kind, reason, stack}, message) do
+    vertex = Enum.at(step.vertices, index - step.index)
+
+    error =
+      vertex.path
+      |> Callback.exception_error(:in, kind, reason, stack)
+      |> Callback.add_message_info(:in, message)
+
+    case vertex.on_error do
+      :stop ->
+        ErrorPolicy.fail_step(step, error)
+
+      :skip ->
+        ErrorPolicy.skip_message(step, error, index)
+
+      :restart ->
+        step = ErrorPolicy.record_restart(step, error, index)
+        %{step | worker: Chain.replace_step(step.worker, index, vertex.opts)}
+    end
+  end
+
+  # Other components take one message at a time, the earliest among their inputs first.
+  defp run_singly(step, {room, deadline}) do
+    step = Step.read_clock(step)
+    {outcome, step, n} = run_singly(step, min(room, step.work.slice), deadline, 0)
+    work = Work.count_slice(step.work, n, max(n, 1), Step.elapsed(step))
+    {outcome, %{step | work: %{work | singly: max(work.singly - n, 0)}}}
+  end
+
+  defp run_singly(step, most, deadline, n) do
+    case Inputs.earliest_input(step.inputs) do
+      %{lossy: nil} = input when n < most ->
+        {entry, input} = Input.pop(input, 0)
+        step = step |> Step.put_input(input) |> handle_entry(input, entry)
+
+        cond do
+          is_tuple(entry) -> {:more, step, n}
+          step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
+          :erlang.monotonic_time() > deadline -> {:yield, step, n + 1}
+          Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
+          true -> run_singly(step, most, deadline, n + 1)
+        end
+
+      _none_or_lossy_or_enough ->
+        {:more, step, n}
+    end
+  end
+
+  # Under a lossy policy, messages in the mailbox join the queue before the next message is taken.
+  defp run_newest(step, input) do
+    case Input.ensure_fresh(input) do
+      {:wait, input} ->
+        {:more, Step.put_input(step, input)}
+
+      {:ok, input} ->
+        step = Step.read_clock(step)
+        {entry, input} = Input.pop(input, step.context.now)
+        {:yield, step |> Step.put_input(input) |> run_entry(input, entry)}
+    end
+  end
+
+  defp run_entry(%{worker: %Chain{}} = step, input, entry) when is_struct(entry),
+    do: step |> run_batch(input, [entry], :never) |> elem(1)
+
+  defp run_entry(step, input, entry) do
+    step = handle_entry(step, input, entry)
+    n = if is_struct(entry), do: 1, else: 0
+    %{step | work: Work.count_slice(step.work, n, 1, Step.elapsed(step))}
+  end
+
+  defp handle_entry(step, _input, nil), do: step
+  defp handle_entry(step, input, {:closed, time}), do: close_input(step, input, time)
+
+  defp handle_entry(step, input, %{originating_time: time} = message) do
+    if time > Step.final_time(step) do
+      Step.put_input(step, Input.drop_taken(input, 1))
+    else
+      step = handle_message(step, input, message)
+      # The component may have paused or detached the input.
+      input = Map.get(step.inputs.by_tag, input.tag, input)
+      Step.put_input(step, Input.count_handled(input, 1, time, step.context.now))
+    end
+  end
+
+  defp handle_message(step, %{check: :off} = input, message),
+    do: call_component(step, input, message)
+
+  defp handle_message(step, input, message) do
+    case Input.check_type(input, message, step.worker.path) do
+      {:ok, input} -> step |> Step.put_input(input) |> call_component(input, message)
+      {:error, error} -> handle_error(step, error, input, message)
+    end
+  end
+
+  defp call_component(step, input, message) do
+    with {:ok, actions, core} <-
+           Callback.run_handle_message(step.worker, input.name, message, step.context),
+         {:ok, step} <- CallbackRunner.try_result(step, core, actions) do
+      step
+    else
+      {:error, error} -> handle_error(step, error, input, message)
+    end
+  end
+
+  defp handle_error(step, error, input, message),
+    do: CallbackRunner.handle_error(step, Callback.add_message_info(error, input.name, message))
+
+  defp take_closing(step, input) do
+    case Input.pop(input, 0) do
+      {{:closed, time}, input} -> step |> Step.put_input(input) |> close_input(input, time)
+      {nil, input} -> Step.put_input(step, input)
+    end
+  end
+
+  # The pipeline's server closes the outputs once all inputs of the stage have closed; those of a step that gets its
+  # messages from this process close with its input.
+  defp close_input(step, %{name: name, tag: tag, producer: producer}, time) do
+    step = send_pending(step)
+    {known?, inputs} = Inputs.close_input(step.inputs, name, tag)
+    step = %{step | inputs: inputs}
+
+    step =
+      if not known? and step.phase != :failed and is_struct(step.worker, Callback),
+        do: CallbackRunner.call_callback(step, :handle_closed, [name, time]),
+        else: step
+
+    if producer == nil,
+      do: Step.map_outputs(step, &Output.close(&1, time)),
+      else: %{step | work: Work.add_closing(step.work, {tag, name, time})}
+  end
+
+  # A failed step discards incoming messages, so that producers do not wait for it.
+  defp discard_inputs(step) do
+    Enum.reduce(Map.values(step.inputs.by_tag), step, fn input, step ->
+      {time, input} = Input.discard_all(input)
+      step = Step.put_input(step, input)
+      if time, do: close_input(step, input, time), else: step
+    end)
+  end
+
+  @doc "Ends a time slice: sends messages, publishes counts, and sets the alarm."
+  @spec settle(Step.t()) :: Step.t()
+  def settle(step), do: step |> end_linger() |> send_pending() |> report_closings() |> release()
+
+  @doc "Sends pending messages, publishes counts and requests more messages."
+  @spec send_pending(Step.t()) :: Step.t()
+  def send_pending(%{work: %{spent: spent} = work} = step) do
+    outputs = Outputs.flush(step.outputs, step.context.now)
+    inputs = Inputs.settle_touched(step.inputs, spent)
+    work = if spent == {0, 0}, do: work, else: %{work | spent: {0, 0}}
+    %{step | outputs: outputs, inputs: inputs, work: work}
+  end
+
+  # An input counts as closed once the component has emitted everything for it.
+  defp report_closings(%{work: %{closings: []}} = step), do: step
+
+  defp report_closings(%{work: work} = step) do
+    if step.phase != :failed and Work.unfinished?(work) do
+      step
+    else
+      for {tag, name, time} <- work.closings,
+          do: Step.report_event(step, {:unsubscribed, tag, name, time})
+
+      %{step | work: %{work | closings: []}}
+    end
+  end
+
+  # A pipeline that ends does not wait for messages that a component holds back.
+  defp end_linger(%{work: %{lingers: true}, phase: :running} = step) do
+    if Step.final_time(step) == Step.no_final_time(),
+      do: step,
+      else: CallbackRunner.call_callback(step, :handle_info, [{:linger, :end}])
+  end
+
+  defp end_linger(step), do: step
+
+  # A chain has nothing that waits for its time.
+  defp release(%{worker: %Chain{}} = step), do: step
+  defp release(%{host: %{clock: nil}} = step), do: step
+
+  defp release(step) do
+    step = Production.report_released(step)
+
+    if not step.context.enforced? and Timers.idle?(step.timers) do
+      step
+    else
+      # `nil` is more than any number.
+      due = min(Timers.next_time(step.timers), Outputs.next_time(step.outputs))
+      %{step | timers: Timers.set_alarm(step.timers, due, step.host.clock)}
+    end
+  end
+
+  @doc "Runs the timers that are due and releases the messages whose time has come."
+  @spec run_due(Step.t()) :: Step.t()
+  def run_due(step) do
+    %{context: %{now: now}} = step = Step.read_clock(step)
+    {keys, timers} = Timers.take_due(Timers.clear_alarm(step.timers), now)
+    outputs = Outputs.release_due(step.outputs, now)
+    step = Step.wake_source(%{step | timers: timers, outputs: outputs})
+
+    Enum.reduce(keys, step, fn
+      _key, %{phase: :failed} = step -> step
+      key, step -> CallbackRunner.call_callback(step, :handle_info, [{:timer, key}])
+    end)
+  end
+end

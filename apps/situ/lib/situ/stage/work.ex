@@ -1,0 +1,63 @@
+defmodule Situ.Stage.Work do
+  @moduledoc false
+  # What a step has to do besides taking messages, and how many messages it takes together.
+
+  @quick_ns 100_000
+  @slow_ns 1_000_000
+  @most 512
+
+  defstruct slice: 16,
+            continue: :none,
+            lingers: false,
+            closings: [],
+            singly: 0,
+            looked: nil,
+            spent: {0, 0},
+            failure: nil
+
+  @typedoc """
+  `slice` is how many messages are taken together. With `continue: {:some, term}`, the component continues with this
+  term before it takes other messages. `closings` lists inputs that have closed since the last report; `lingers` is true
+  if the component still has output left although they have. `singly` is the number of messages of a failed batch that
+  are still to be handled one by one. `looked` is how many messages had been taken at the server's last check for
+  progress. `spent` is the number of messages handled since the counts were published, and the ns that they took.
+  `failure` is the error that ended the step.
+  """
+  @type t :: %__MODULE__{
+          slice: pos_integer(),
+          continue: :none | {:some, term()},
+          lingers: boolean(),
+          closings: [term()],
+          singly: non_neg_integer(),
+          looked: non_neg_integer() | nil,
+          spent: {non_neg_integer(), integer()},
+          failure: Situ.Error.t() | nil
+        }
+
+  @doc """
+  Counts `n` messages that took `elapsed` ns together, out of `taken`. The slice grows while it is quick, and shrinks so
+  that the next one takes about a millisecond.
+  """
+  @spec count_slice(t(), non_neg_integer(), pos_integer(), integer()) :: t()
+  def count_slice(%__MODULE__{slice: slice, spent: {handled, ns}} = work, n, taken, elapsed) do
+    slice =
+      cond do
+        n < taken -> max(div(n, 5), 1)
+        elapsed > @slow_ns and slice > 1 -> div(slice, 2)
+        elapsed < @quick_ns and n == slice and slice < @most -> slice * 2
+        true -> slice
+      end
+
+    %{work | slice: slice, spent: {handled + n, ns + elapsed}}
+  end
+
+  @doc "Adds an input that has closed."
+  @spec add_closing(t(), term()) :: t()
+  def add_closing(%__MODULE__{closings: closings} = work, closing),
+    do: %{work | closings: closings ++ [closing]}
+
+  @doc "Returns whether the component has more output for what it has received."
+  @spec unfinished?(t()) :: boolean()
+  def unfinished?(%__MODULE__{lingers: lingers?, continue: continue}),
+    do: lingers? or continue != :none
+end
