@@ -20,6 +20,7 @@ defmodule Situ.Component do
   Callbacks return `{actions, state}`. The actions are:
 
     * `{output, originating_time, data}`: emit a message; originating times must strictly increase per output;
+    * `{output, [originating_time], [data]}`: emit several messages together, which costs less;
     * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit messages and keep the times and sequence ids
       of their envelopes (importers, connectors);
     * `{:complete, time}` or `{:complete, :infinity}`: a source announces its last originating time, or that it has no
@@ -46,6 +47,7 @@ defmodule Situ.Component do
   @type state :: term()
   @type action ::
           {output :: atom(), Situ.Time.t(), data :: term()}
+          | {output :: atom(), [Situ.Time.t(), ...], [data :: term(), ...]}
           | {output :: atom(), Situ.Message.t() | [Situ.Message.t()]}
           | {:complete, Situ.Time.t() | :infinity}
           | {:close, output :: atom()}

@@ -56,6 +56,63 @@ defmodule Situ.Generator.ItemFeed do
     end
   end
 
+  @doc """
+  Takes up to `n` items of a paced feed, none of them later than `till`. Returns their times, their values and the rest
+  of the feed; there are none of a feed whose items contain their times.
+  """
+  @spec take_paced(t(), pos_integer(), Situ.Time.t() | :infinity) ::
+          {[Situ.Time.t()], [term()], t()}
+  def take_paced({:paced, items, time, interval} = feed, n, till) when time <= till do
+    n = if interval > 0 and till != :infinity, do: min(n, div(till - time, interval) + 1), else: n
+
+    case take_items(items, n) do
+      {[], _items} ->
+        {[], [], feed}
+
+      {values, items} ->
+        last = time + (length(values) - 1) * interval
+        times = spread_times(time, last, interval, values)
+        {times, values, {:paced, items, last + interval, interval}}
+    end
+  end
+
+  def take_paced(feed, _n, _till), do: {[], [], feed}
+
+  defp spread_times(time, _last, _interval, [_]), do: [time]
+  defp spread_times(time, last, interval, _values), do: :lists.seq(time, last, interval)
+
+  defp take_items({:list, list}, n) do
+    {values, rest} = Enum.split(list, n)
+    {values, {:list, rest}}
+  end
+
+  defp take_items({:range, %{first: first, last: last, step: step} = range}, n) do
+    count = min(n, Range.size(range))
+    next = first + count * step
+    values = if count == 0, do: [], else: :lists.seq(first, next - step, step)
+    {values, {:range, %{range | first: if(count == 0, do: first, else: next), last: last}}}
+  end
+
+  defp take_items(items, n), do: take_each(items, n, [])
+
+  defp take_each({:sequence, _, _, 0} = items, _n, values), do: {:lists.reverse(values), items}
+  defp take_each(items, 0, values), do: {:lists.reverse(values), items}
+
+  defp take_each({:sequence, value, _fun, 1}, _n, values),
+    do: {:lists.reverse(values, [value]), {:sequence, nil, nil, 0}}
+
+  defp take_each({:sequence, value, fun, left}, n, values) do
+    left = if left == :infinity, do: left, else: left - 1
+    take_each({:sequence, fun.(value), fun, left}, n - 1, [value | values])
+  end
+
+  defp take_each(items, n, values) do
+    case take_item(items) do
+      :done -> {:lists.reverse(values), {:enum, :done}}
+      {value, items} -> take_each(items, n - 1, [value | values])
+    end
+  end
+
   @doc "Returns whether no item up to `till` is left, as far as this is known without reading another item."
   @spec known_ended?(t(), Situ.Time.t() | :infinity) :: boolean()
   def known_ended?({:timed, items}, _till), do: no_items?(items)

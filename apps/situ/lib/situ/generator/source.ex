@@ -56,7 +56,7 @@ defmodule Situ.Generator.Source do
   def handle_demand(n, context, state) do
     # An atom sorts after every time, so without an end all items are included.
     till = min(context.replay_end, state.final || :infinity)
-    produce_items(n, till, state, [])
+    produce_items(n, till, state)
   end
 
   @impl true
@@ -94,8 +94,21 @@ defmodule Situ.Generator.Source do
   def terminate(_reason, %{feed: nil}), do: :ok
   def terminate(_reason, state), do: ItemFeed.close(state.feed)
 
-  defp produce_items(n, till, state, actions),
-    do: emit_items(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
+  # Items at regular times are emitted together.
+  defp produce_items(n, till, %{ahead: nil} = state) do
+    case ItemFeed.take_paced(state.feed, n, till) do
+      {[], [], feed} ->
+        emit_items(n, till, state, {nil, feed, state.last, state.taken}, [])
+
+      {times, data, feed} ->
+        count = length(times)
+        reached = {nil, feed, List.last(times), state.taken + count}
+        emit_items(n - count, till, state, reached, [{:out, times, data}])
+    end
+  end
+
+  defp produce_items(n, till, state),
+    do: emit_items(n, till, state, {state.ahead, state.feed, state.last, state.taken}, [])
 
   # The progress is written to the state once per demand.
   # If the feed is known to have ended, the end is emitted together with the last item.

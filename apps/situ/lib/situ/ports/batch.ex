@@ -7,13 +7,14 @@ defmodule Situ.Ports.Batch do
   # Times are relative to `base`, because nanoseconds since 1970 do not fit into a small integer of the VM.
   alias Situ.Message
 
-  @enforce_keys [:source_id, :created, :first_id, :base, :times, :data, :size]
-  defstruct [:source_id, :created, :first_id, :base, :times, :data, :size]
+  @enforce_keys [:source_id, :created, :first_id, :last_time, :base, :times, :data, :size]
+  defstruct [:source_id, :created, :first_id, :last_time, :base, :times, :data, :size]
 
   @type shared :: %__MODULE__{
           source_id: non_neg_integer(),
           created: Situ.Time.t(),
           first_id: non_neg_integer(),
+          last_time: Situ.Time.t(),
           base: Situ.Time.t(),
           times: [integer(), ...],
           data: [term(), ...],
@@ -32,7 +33,7 @@ defmodule Situ.Ports.Batch do
 
   @doc "Returns the originating time of the last message."
   @spec last_time(t()) :: Situ.Time.t()
-  def last_time(%__MODULE__{base: base, times: times}), do: base + :lists.last(times)
+  def last_time(%__MODULE__{last_time: time}), do: time
   def last_time(messages), do: :lists.last(messages).originating_time
 
   @doc "Returns the originating time, the creation time and the sequence id of the last message."
@@ -112,7 +113,7 @@ defmodule Situ.Ports.Batch do
     {times, later_times} = :lists.split(n, batch.times)
     {data, later} = :lists.split(n, batch.data)
 
-    {%{batch | times: times, data: data, size: n},
+    {%{batch | times: times, data: data, size: n, last_time: batch.base + :lists.last(times)},
      %{batch | times: later_times, data: later, first_id: id + n, size: size - n}}
   end
 

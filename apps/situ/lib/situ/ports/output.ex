@@ -177,14 +177,19 @@ defmodule Situ.Ports.Output do
   def creation_time(%__MODULE__{last_creation: nil}, now), do: now
   def creation_time(%__MODULE__{last_creation: last}, now), do: max(now, last)
 
-  @doc "Posts data with times relative to `base` at clock time `now`, without checking the times."
-  @spec post_batch(t(), {Situ.Time.t(), [integer()], [term()]}, Situ.Time.t()) :: t()
-  def post_batch(%__MODULE__{} = output, {_base, [], []}, _now), do: output
+  @doc """
+  Posts the results of operators at clock time `now`: data with times relative to `base`. `last` is the time of the last
+  message that they have handled.
+  """
+  @spec post_results(t(), Situ.Time.t(), {Situ.Time.t(), [integer()], [term()]}, Situ.Time.t()) ::
+          t()
+  def post_results(%__MODULE__{} = output, last, {_base, [], []}, _now),
+    do: %{output | last_time: last}
 
-  def post_batch(%__MODULE__{seq: seq} = output, {base, times, data}, now) do
+  def post_results(%__MODULE__{seq: seq} = output, last, {base, times, data}, now) do
     n = length(data)
     created = creation_time(output, now)
-    output = %{output | seq: seq + n, last_creation: created}
+    output = %{output | seq: seq + n, last_creation: created, last_time: last}
 
     if output.subs == [] do
       output
@@ -193,6 +198,7 @@ defmodule Situ.Ports.Output do
         source_id: output.port.source_id,
         created: created,
         first_id: seq + 1,
+        last_time: last,
         base: base,
         times: times,
         data: data,
@@ -226,6 +232,7 @@ defmodule Situ.Ports.Output do
       source_id: source_id,
       created: created,
       first_id: id,
+      last_time: base + hd(times),
       base: base,
       times: :lists.reverse(times),
       data: :lists.reverse(data),

@@ -67,15 +67,19 @@ defmodule Situ.Ports.PostingRules do
   """
   @spec emit_all(Output.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
           {:ok, Output.t(), [tuple()]} | {:error, Error.t()}
-  def emit_all(
-        %Output{future: {[], []}, resume: nil, port: %{same_time: :error}, ending: ending} =
-          output,
-        [{name, time, _} | _] = actions,
-        now,
-        false,
-        nil
-      )
-      when not is_closed(ending) do
+  def emit_all(output, [{_, time, _} | rest], _now, _enforce?, final)
+      when is_integer(final) and time > final,
+      do: {:ok, output, rest}
+
+  def emit_all(output, [{name, time, data} | rest] = actions, now, enforce?, final) do
+    if shared_envelope?(output, enforce?, final) do
+      post_actions(output, name, actions, now)
+    else
+      with {:ok, output} <- emit(output, time, data, now, enforce?), do: {:ok, output, rest}
+    end
+  end
+
+  defp post_actions(output, name, [{_, time, _} | _] = actions, now) do
     created = Output.creation_time(output, now)
     {{:open, _, id, base, times, data, n}, rest} = open_part(output, created, time)
 
@@ -92,13 +96,62 @@ defmodule Situ.Ports.PostingRules do
     end
   end
 
-  def emit_all(output, [{_, time, _} | rest], _now, _enforce?, final)
-      when is_integer(final) and time > final,
-      do: {:ok, output, rest}
+  @doc """
+  Posts data at increasing times, two lists of the same length, and nothing later than `final`. Returns `:error` if they
+  are not such lists.
+  """
+  @spec emit_columns(
+          Output.t(),
+          {[Situ.Time.t(), ...], [term()]},
+          Situ.Time.t(),
+          boolean(),
+          integer() | nil
+        ) :: {:ok, Output.t()} | {:error, Error.t()} | :error
+  def emit_columns(output, {times, data}, now, enforce?, final) do
+    cond do
+      length(times) != length(data) or not Enum.all?(times, &is_integer/1) ->
+        :error
 
-  def emit_all(output, [{_, time, data} | rest], now, enforce?, _final) do
-    with {:ok, output} <- emit(output, time, data, now, enforce?), do: {:ok, output, rest}
+      shared_envelope?(output, enforce?, final) ->
+        post_columns(output, times, data, now)
+
+      true ->
+        times
+        |> Enum.zip(data)
+        |> Enum.reduce_while({:ok, output}, fn {time, value}, {:ok, output} ->
+          case emit_all(output, [{output.port.name, time, value}], now, enforce?, final) do
+            {:ok, output, []} -> {:cont, {:ok, output}}
+            error -> {:halt, error}
+          end
+        end)
+    end
   end
+
+  defp post_columns(output, [base | _] = times, data, now) do
+    last = :lists.last(times)
+    columns = {base, relative_times(times, base, output.last_time || :none), data}
+    {:ok, Output.post_results(output, last, columns, now)}
+  catch
+    {:situ_not_increasing, time, last} ->
+      {:error, not_increasing(%{output | last_time: last}, time)}
+  end
+
+  defp relative_times([], _base, _last), do: []
+
+  defp relative_times([time | rest], base, last) when last == :none or time > last,
+    do: [time - base | relative_times(rest, base, time)]
+
+  defp relative_times([time | _rest], _base, last), do: throw({:situ_not_increasing, time, last})
+
+  # Messages that are posted now, without looking at each: they share an envelope.
+  defp shared_envelope?(
+         %{future: {[], []}, resume: nil, port: %{same_time: :error}, ending: ending},
+         false,
+         nil
+       ),
+       do: not is_closed(ending)
+
+  defp shared_envelope?(_output, _enforce?, _final), do: false
 
   defp post_all(actions, name, base, last, times, data),
     do: post_all(actions, name, base, last, times, data, 0)

@@ -23,6 +23,20 @@ defmodule Situ.Stage.ActionRunner do
     end
   end
 
+  def apply_actions(step, [{name, [first | _] = times, data} | rest])
+      when is_atom(name) and is_list(data) do
+    %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
+
+    with {:ok, output} <- fetch_output(step, name),
+         {:ok, output} <- PostingRules.emit_columns(output, {times, data}, now, enforced?, final),
+         :ok <- PostingRules.check_range(output, first) do
+      apply_actions(put_output(step, output), rest)
+    else
+      :error -> {:error, bad_action(step, {name, times, data})}
+      error -> error
+    end
+  end
+
   def apply_actions(step, [{name, %Message{} = message} | rest]) when is_atom(name),
     do: forward(step, name, [message], rest)
 

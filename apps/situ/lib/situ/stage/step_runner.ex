@@ -148,8 +148,9 @@ defmodule Situ.Stage.StepRunner do
   defp post_results(step, results, batch) do
     %{own: [{_name, output}]} = step.outputs
     {times, results} = drop_skipped(step.worker, Batch.times(batch), results)
-    output = Output.post_batch(output, {Batch.base(batch), times, results}, step.context.now)
-    output = %{output | last_time: Batch.last_time(batch)}
+    columns = {Batch.base(batch), times, results}
+    last = Batch.last_time(batch)
+    output = Output.post_results(output, last, columns, step.context.now)
     %{step | outputs: Outputs.put(step.outputs, output)}
   end
 
