@@ -99,6 +99,17 @@ defmodule Situ.Stage do
     end
   end
 
+  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
+      when is_pid(pid) and is_integer(n) and n > 0 do
+    case State.update_outputs(state, &Outputs.add_demand(&1, from, n)) do
+      {:ok, state} ->
+        state |> Subscriptions.wake_sources() |> Loop.handle_demand() |> unless_over()
+
+      :error ->
+        {:noreply, Subscriptions.handle_consumer_request(state, from, request)}
+    end
+  end
+
   def handle_info({:"$gen_producer", {pid, _tag} = from, request}, state) when is_pid(pid),
     do:
       state

@@ -111,7 +111,7 @@ defmodule Situ.Operator.Chain do
         {results, failure}
 
       {rest, results} ->
-        if :erlang.monotonic_time() > till,
+        if :erlang.monotonic_time(:nanosecond) > till,
           do: {results, :late},
           else: run_data(rest, fun, till, results)
     end
@@ -135,7 +135,7 @@ defmodule Situ.Operator.Chain do
         {:lists.reverse(results), chain, failure}
 
       {rest, chain, results} ->
-        if :erlang.monotonic_time() > till,
+        if :erlang.monotonic_time(:nanosecond) > till,
           do: {:lists.reverse(results), chain, :late},
           else: run_messages(rest, chain, till, results)
     end

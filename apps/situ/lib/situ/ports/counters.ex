@@ -5,6 +5,8 @@ defmodule Situ.Ports.Counters do
 
   alias Situ.Ports.{Batch, ProgressRing}
 
+  @compile {:inline, microseconds: 1, bucket: 1}
+
   # The producer writes the first eight words, the consumer the rest: each has cache lines of its own.
   @emitted 1
   @created_last 2
@@ -200,7 +202,7 @@ defmodule Situ.Ports.Counters do
   defp bucket(latency) when latency < 1024, do: 0
 
   defp bucket(latency) do
-    exponent = log2(latency, 10)
+    exponent = log2(latency, 0)
 
     min(
       (exponent - 10) * 4 + Bitwise.band(Bitwise.bsr(latency, exponent - 2), 3) + 1,
@@ -215,11 +217,12 @@ defmodule Situ.Ports.Counters do
     Bitwise.bsl(1, exponent) + (rem(bucket - 1, 4) + 1) * Bitwise.bsl(1, exponent - 2)
   end
 
-  defp log2(value, exponent) do
-    cond do
-      value >= Bitwise.bsl(1, exponent + 8) -> log2(value, exponent + 8)
-      value >= Bitwise.bsl(1, exponent + 1) -> log2(value, exponent + 1)
-      true -> exponent
-    end
-  end
+  # Latencies of 1 us to 1 s take four steps.
+  defp log2(value, exponent) when value >= 0x10000,
+    do: log2(Bitwise.bsr(value, 16), exponent + 16)
+
+  defp log2(value, exponent) when value >= 0x100, do: log2(Bitwise.bsr(value, 8), exponent + 8)
+  defp log2(value, exponent) when value >= 0x10, do: log2(Bitwise.bsr(value, 4), exponent + 4)
+  defp log2(value, exponent) when value >= 4, do: log2(Bitwise.bsr(value, 2), exponent + 2)
+  defp log2(value, exponent), do: exponent + Bitwise.bsr(value, 1)
 end

@@ -10,6 +10,8 @@ defmodule Situ.Ports.Input do
   alias Situ.Delivery.Queue
   alias Situ.Ports.{Batch, Counters, DemandWindow}
 
+  @compile {:inline, ask: 2, enter: 2}
+
   @hold_ms 20
   # Asking takes longer than this, so that it costs a part of the throughput only.
   @stale_ns 50_000
@@ -127,6 +129,12 @@ defmodule Situ.Ports.Input do
     %{input | lossy: {queue, fresh}}
   end
 
+  @doc "Returns whether an entry can be taken."
+  @spec ready?(t()) :: boolean()
+  def ready?(%__MODULE__{held: nil, lossy: nil, front: [], rear: []}), do: false
+  def ready?(%__MODULE__{held: nil, lossy: nil}), do: true
+  def ready?(%__MODULE__{} = input), do: head_time(input) != :none
+
   @doc "Returns the originating time of the next entry, or `:none`, also while the input is held."
   @spec head_time(t()) :: Situ.Time.t() | :none
   def head_time(%__MODULE__{held: held}) when held != nil, do: :none
@@ -220,11 +228,6 @@ defmodule Situ.Ports.Input do
 
   defp closed_time([]), do: nil
   defp closed_time([{:closed, time} | _]), do: time
-
-  @doc "Returns whether nothing waits in the input."
-  @spec empty?(t()) :: boolean()
-  def empty?(%__MODULE__{lossy: nil, front: front, rear: rear}), do: front == [] and rear == []
-  def empty?(%__MODULE__{lossy: {queue, _fresh}}), do: queue.size == 0
 
   @doc "Counts `n` messages, the last at `time`, as handled from clock time `now` on."
   @spec count_handled(t(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: t()

@@ -6,6 +6,8 @@ defmodule Situ.Ports.Inputs do
   # From so many on, they are kept in the order of their heads: fewer are looked through quicker.
   @many 17
 
+  @compile {:inline, touch: 2}
+
   defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: []
 
   @typedoc """
@@ -111,6 +113,11 @@ defmodule Situ.Ports.Inputs do
 
   @doc "Returns the input with the oldest head."
   @spec earliest_input(t()) :: Input.t() | nil
+  def earliest_input(%__MODULE__{tags: [tag], by_tag: by_tag}) do
+    input = :erlang.map_get(tag, by_tag)
+    if Input.ready?(input), do: input
+  end
+
   def earliest_input(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),
     do: earliest(tags, by_tag, nil, nil)
 

@@ -5,6 +5,8 @@ defmodule Situ.Ports.Output do
   alias Situ.Message
   alias Situ.Ports.{Batch, Subscriber}
 
+  @compile {:inline, subtract: 2, record_progress: 2, finish: 1}
+
   @nothing {[], []}
 
   @enforce_keys [:port]
@@ -221,7 +223,8 @@ defmodule Situ.Ports.Output do
     batches = close_parts(output.pending, output.port.source_id, [])
     {time, creation, _id} = stamp = Batch.last_stamp(:lists.last(batches))
     record_progress(output.port, stamp)
-    subs = deliver_all(output.subs, batches, n, {time, creation - time}, now)
+    latency = {time, creation - time}
+    subs = for sub <- output.subs, do: Subscriber.deliver_batches(sub, batches, n, latency, now)
     finish(%{output | pending: [], pending_n: 0, subs: subs})
   end
 
@@ -248,16 +251,11 @@ defmodule Situ.Ports.Output do
   defp close_parts([batch | rest], source_id, batches),
     do: close_parts(rest, source_id, [batch | batches])
 
-  defp deliver_all([], _batches, _n, _latency, _now), do: []
-
-  defp deliver_all([sub | rest], batches, n, latency, now),
-    do: [
-      Subscriber.deliver_batches(sub, batches, n, latency, now)
-      | deliver_all(rest, batches, n, latency, now)
-    ]
-
   @doc "Adds demand of the subscriber with this pid and tag. Returns `:error` for an unknown subscriber."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def add_demand(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
+    do: {:ok, finish(%{output | subs: [Subscriber.add_demand(sub, n)]})}
+
   def add_demand(%__MODULE__{} = output, from, n),
     do: update_subscriber(output, from, &Subscriber.add_demand(&1, n))
 
@@ -266,18 +264,11 @@ defmodule Situ.Ports.Output do
   def refresh_subscriber(%__MODULE__{} = output, from),
     do: update_subscriber(output, from, &Subscriber.deliver_newest/1)
 
-  defp update_subscriber(%{subs: subs} = output, from, fun) do
-    case update_one(subs, from, fun) do
-      :error -> :error
-      subs -> {:ok, finish(%{output | subs: subs})}
+  defp update_subscriber(%{subs: subs} = output, {pid, tag}, fun) do
+    case Enum.split_while(subs, &(&1.tag != tag or &1.pid != pid)) do
+      {_others, []} -> :error
+      {before, [sub | rest]} -> {:ok, finish(%{output | subs: before ++ [fun.(sub) | rest]})}
     end
-  end
-
-  defp update_one([], _from, _fun), do: :error
-  defp update_one([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]
-
-  defp update_one([sub | rest], from, fun) do
-    with [_ | _] = rest <- update_one(rest, from, fun), do: [sub | rest]
   end
 
   @doc "Updates every subscriber with this tag."

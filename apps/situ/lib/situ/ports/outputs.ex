@@ -74,7 +74,9 @@ defmodule Situ.Ports.Outputs do
   def flush(%__MODULE__{demand: :accumulate} = outputs, _now), do: outputs
 
   def flush(%__MODULE__{own: [{_, %{pending: [], ending: nil}}]} = outputs, _now), do: outputs
-  def flush(%__MODULE__{} = outputs, now), do: map_outputs(outputs, &Output.flush(&1, now))
+
+  def flush(%__MODULE__{own: own} = outputs, now),
+    do: %{outputs | own: for({name, output} <- own, do: {name, Output.flush(output, now)})}
 
   @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
   @spec take_local(t()) :: {[{term(), [Situ.Ports.Batch.t()]}], t()}
@@ -117,6 +119,11 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Adds demand of one subscriber; `:error` if the subscriber is unknown."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def add_demand(%__MODULE__{own: [{name, output}]} = outputs, from, n) do
+    with {:ok, output} <- Output.add_demand(output, from, n),
+         do: {:ok, %{outputs | own: [{name, output}]}}
+  end
+
   def add_demand(%__MODULE__{own: own} = outputs, from, n),
     do: update_first(own, outputs, &Output.add_demand(&1, from, n))
 

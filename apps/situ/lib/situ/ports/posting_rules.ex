@@ -5,6 +5,8 @@ defmodule Situ.Ports.PostingRules do
   alias Situ.{Error, Message}
   alias Situ.Ports.Output
 
+  @compile {:inline, open_part: 3, put_posted: 3, shared_envelope?: 3}
+
   # The difference to a clock of today has to fit into 64 bits, and 9.0e18 is "never" to a stage.
   @earliest -7_000_000_000_000_000_000
   @latest 8_999_999_999_999_999_998

@@ -7,6 +7,8 @@ defmodule Situ.Ports.ProgressRing do
   #   word 0   the number of entries begun
   #   word 1   when the last one was begun; then pairs of originating time and clock time
 
+  @compile {:inline, slot: 2, put: 4}
+
   @entries 128
   @span 1_000_000
   @words 2 + 2 * @entries

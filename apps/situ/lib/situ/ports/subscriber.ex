@@ -11,6 +11,8 @@ defmodule Situ.Ports.Subscriber do
   alias Situ.Delivery.Queue
   alias Situ.Ports.{Batch, Counters}
 
+  @compile {:inline, send_entry: 2, send_batches: 2, subtract: 2, deliver: 4}
+
   @enforce_keys [:tag, :pid]
   defstruct [
     :tag,

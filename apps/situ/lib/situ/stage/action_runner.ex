@@ -7,6 +7,8 @@ defmodule Situ.Stage.ActionRunner do
   alias Situ.Ports.{Inputs, Output, Outputs, PostingRules}
   alias Situ.Stage.{ErrorPolicy, SourceState, Step}
 
+  @compile {:inline, fetch_output: 2, put_output: 2}
+
   @spec apply_actions(Step.t(), [Situ.Component.action()]) ::
           {:ok, Step.t()} | {:error, Error.t()}
   def apply_actions(step, []), do: {:ok, step}

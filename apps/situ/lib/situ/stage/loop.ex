@@ -8,8 +8,10 @@ defmodule Situ.Stage.Loop do
   alias Situ.Ports.{Batch, Input, Inputs, Outputs}
   alias Situ.Stage.{CallbackRunner, State, Step, StepRunner}
 
-  @slice :erlang.convert_time_unit(5, :millisecond, :native)
-  @flush :erlang.convert_time_unit(200, :microsecond, :native)
+  @compile {:inline, last: 1, resume_demand: 1, schedule: 1, enlarge_heap: 2}
+
+  @slice_ns 5_000_000
+  @flush_ns 200_000
   @large_batch 64
   @large_heap_words 32_768
 
@@ -21,6 +23,14 @@ defmodule Situ.Stage.Loop do
 
   def handle_batches(state, {i, input}, batches),
     do: state |> State.put_input(i, Input.push(input, batches)) |> run_slice()
+
+  @doc "Handles new demand of a consumer."
+  @spec handle_demand(State.t()) :: State.t()
+  # Everything was settled when the last slice ended: without anything to take, there is nothing to do.
+  def handle_demand(%{steps: {step}} = state),
+    do: if(StepRunner.ready?(step), do: run_slice(state), else: state)
+
+  def handle_demand(state), do: run_slice(state)
 
   @doc "Closes the input after its waiting messages."
   @spec handle_closing(State.t(), {non_neg_integer(), Input.t()}, Situ.Time.t()) :: State.t()
@@ -77,36 +87,43 @@ defmodule Situ.Stage.Loop do
   def run_slice(%{steps: steps} = state) when elem(steps, 0).phase == :starting, do: settle(state)
 
   def run_slice(state) do
-    start = :erlang.monotonic_time()
-    run_steps(state, last(state), {0, start + @flush, start + @slice})
+    start = :erlang.monotonic_time(:nanosecond)
+    run_steps(state, last(state), {0, start, start + @flush_ns, start + @slice_ns})
   end
 
   defp last(%{steps: steps}), do: tuple_size(steps) - 1
 
   # Step `i` and those before it may have something to do, down to step `first`.
-  defp run_steps(state, i, {first, _flush, _deadline}) when i < first,
+  defp run_steps(state, i, {first, _now, _flush, _deadline}) when i < first,
     do: if(first == 0, do: settle(state), else: schedule_slice(state))
 
-  defp run_steps(%{steps: steps} = state, i, {_first, _flush, deadline} = times) do
+  defp run_steps(%{steps: steps, links: links} = state, i, times) do
+    if links == %{} and not StepRunner.ready?(elem(steps, i)),
+      do: run_steps(state, i - 1, times),
+      else: run_step(state, i, times)
+  end
+
+  defp run_step(%{steps: steps} = state, i, {_first, now, _flush, deadline} = times) do
     step = resume_demand(elem(steps, i))
-    {outcome, step} = StepRunner.run_next(step, {available_room(state, step), deadline})
+    {outcome, step} = StepRunner.run_next(step, {available_room(state, step), now, deadline})
     {passed?, state} = state |> State.put_step(i, step) |> pass_on(i)
 
     case outcome do
       :idle when not passed? -> run_steps(state, i - 1, times)
       # The messages of this step pass through the steps after it before the stage looks into its mailbox.
       :yield -> run_steps(state, last(state), put_elem(times, 0, i + 1))
-      _more -> run_more(state, :erlang.monotonic_time(), times)
+      _more -> run_more(state, max(now, step.work.time), times)
     end
   end
 
-  defp run_more(state, now, {_first, _flush, deadline}) when now > deadline,
+  defp run_more(state, now, {_first, _before, _flush, deadline}) when now > deadline,
     do: schedule_slice(state)
 
-  defp run_more(state, now, {first, flush, deadline}) when now > flush,
-    do: state |> settle() |> run_steps(last(state), {first, now + @flush, deadline})
+  defp run_more(state, now, {first, _before, flush, deadline}) when now > flush,
+    do: state |> settle() |> run_steps(last(state), {first, now, now + @flush_ns, deadline})
 
-  defp run_more(state, _now, times), do: run_steps(state, last(state), times)
+  defp run_more(state, now, times),
+    do: run_steps(state, last(state), put_elem(times, 1, now))
 
   # A pipeline that ends does not wait for a paused stage to resume.
   defp resume_demand(%{outputs: %{demand: :accumulate}} = step),
@@ -214,7 +231,7 @@ defmodule Situ.Stage.Loop do
   defp run_local(step) do
     case Inputs.earliest_input(step.inputs) do
       %{producer: nil} ->
-        {_outcome, step} = StepRunner.run_next(step, {:infinity, :never})
+        {_outcome, step} = StepRunner.run_next(step, {:infinity, step.work.time, :never})
         run_local(step)
 
       _none_or_another_process ->

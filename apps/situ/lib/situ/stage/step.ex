@@ -106,11 +106,6 @@ defmodule Situ.Stage.Step do
   def read_clock(%__MODULE__{host: %{clock: clock}, context: context} = step),
     do: %{step | context: %{context | now: Clock.now(clock)}}
 
-  @doc "Returns the ns that have passed since `read_clock/1`."
-  @spec elapsed(t()) :: integer()
-  def elapsed(%__MODULE__{host: %{clock: clock}, context: %{now: now}}),
-    do: Clock.now(clock) - now
-
   @doc "Returns the time up to which messages count."
   @spec final_time(t()) :: integer()
   def final_time(%__MODULE__{host: %{control: nil}}), do: @never

@@ -9,17 +9,36 @@ defmodule Situ.Stage.StepRunner do
   alias Situ.Stage.{CallbackRunner, ErrorPolicy, Production, Step, Work}
   require Chain
 
+  @compile {:inline,
+            drop_late: 3,
+            return_rest: 3,
+            takes_batches?: 2,
+            handle_message: 3,
+            end_linger: 1,
+            report_closings: 1,
+            release: 1}
+
   @typedoc "The step has nothing to do, may have more, or lets the stage look into its mailbox first."
   @type outcome :: :idle | :more | :yield
-  @typep limits :: {room :: integer() | :infinity, deadline :: integer()}
+  @typep limits :: {room :: integer() | :infinity, started :: integer(), deadline :: integer()}
 
   @doc """
-  Runs the next messages of the step, as far as there is `room` in its outputs, and no longer than the monotonic time
-  `deadline`.
+  Returns whether the step has something to take or may produce something. It may still lack room for the results.
+  """
+  @spec ready?(Step.t()) :: boolean()
+  def ready?(%{phase: :failed}), do: true
+  def ready?(%{source: %{kind: :pull}}), do: true
+
+  def ready?(%{inputs: inputs, work: work}),
+    do: work.continue != :none or Inputs.earliest_input(inputs) != nil
+
+  @doc """
+  Runs the next messages of the step, as far as there is `room` in its outputs. It is `started` now and runs no longer
+  than the `deadline`, both monotonic times (ns).
   """
   @spec run_next(Step.t(), limits()) :: {outcome(), Step.t()}
   def run_next(%{phase: :failed} = step, _limits), do: {:idle, discard_inputs(step)}
-  def run_next(step, {room, _deadline}) when room < 1, do: {:idle, step}
+  def run_next(step, {room, _started, _deadline}) when room < 1, do: {:idle, step}
 
   # The component has more output for the messages it has received.
   def run_next(%{work: %{continue: {:some, term}} = work} = step, _limits) do
@@ -27,7 +46,7 @@ defmodule Situ.Stage.StepRunner do
     {:more, CallbackRunner.call_callback(step, :handle_info, [{:continue, term}])}
   end
 
-  def run_next(%{worker: worker, work: work} = step, {room, _deadline} = limits) do
+  def run_next(%{worker: worker, work: work} = step, {room, started, _deadline} = limits) do
     case Inputs.earliest_input(step.inputs) do
       nil ->
         Production.produce_messages(step, room)
@@ -38,7 +57,7 @@ defmodule Situ.Stage.StepRunner do
           else: run_singly(step, limits)
 
       input ->
-        run_newest(step, input)
+        run_newest(step, input, started)
     end
   end
 
@@ -46,21 +65,21 @@ defmodule Situ.Stage.StepRunner do
   defp takes_batches?(%Callback{batch: batch?}, input), do: batch? and input.check == :off
 
   # A chain or a component with `handle_messages/4` takes as many messages as there is room for.
-  defp take_batch(step, input, {room, deadline}) do
+  defp take_batch(step, input, {room, started, deadline}) do
     case Input.take_batch(input, min(room, step.work.slice)) do
       {nil, input} -> {:more, take_closing(step, input)}
-      {batch, input} -> run_batch(step, input, batch, deadline)
+      {batch, input} -> run_batch(step, input, batch, {started, deadline})
     end
   end
 
-  defp run_batch(step, input, batch, deadline) do
+  defp run_batch(step, input, batch, {started, _deadline} = times) do
     {batch, input} = drop_late(batch, input, Step.final_time(step))
     step = step |> Step.put_input(input) |> Step.read_clock()
 
     case {batch, step.worker} do
       {nil, _worker} -> {:more, step}
-      {batch, %Chain{}} -> run_chain(step, input.tag, batch, deadline)
-      {batch, %Callback{}} -> call_batch(step, input, batch)
+      {batch, %Chain{}} -> run_chain(step, input.tag, batch, times)
+      {batch, %Callback{}} -> call_batch(step, input, batch, started)
     end
   end
 
@@ -74,13 +93,13 @@ defmodule Situ.Stage.StepRunner do
     end
   end
 
-  defp call_batch(%{worker: worker} = step, %{name: name, tag: tag}, batch) do
+  defp call_batch(%{worker: worker} = step, %{name: name, tag: tag}, batch, started) do
     messages = Batch.messages(batch)
 
     with {:ok, actions, core} <-
            Callback.run_handle_messages(worker, name, messages, step.context),
          {:ok, step} <- CallbackRunner.try_result(step, core, actions) do
-      {:more, count_batch(step, tag, batch, nil)}
+      {:more, count_batch(step, tag, {batch, nil}, started)}
     else
       # All messages are handled one by one, before another batch is tried.
       _error ->
@@ -91,10 +110,10 @@ defmodule Situ.Stage.StepRunner do
   end
 
   # Counts the part of a batch that was handled, and returns the other one to the input.
-  defp count_batch(step, tag, done, rest) do
+  defp count_batch(step, tag, {done, rest}, started) do
     n = Batch.size(done)
     taken = if rest, do: n + Batch.size(rest), else: n
-    work = Work.count_slice(step.work, n, taken, Step.elapsed(step))
+    work = Work.count_slice(step.work, n, taken, started)
     input = Map.fetch!(step.inputs.by_tag, tag)
     input = Input.count_handled(input, n, Batch.last_time(done), step.context.now)
     Step.put_input(%{step | work: work}, return_rest(input, rest, step.phase))
@@ -105,22 +124,22 @@ defmodule Situ.Stage.StepRunner do
   defp return_rest(input, rest, _phase), do: Input.put_back(input, rest)
 
   # Two messages are not worth a look at the time.
-  defp run_chain(step, tag, batch, deadline) do
+  defp run_chain(step, tag, batch, {started, deadline}) do
     till = if Batch.size(batch) > 2, do: deadline, else: :never
     {results, chain, outcome} = Chain.run_batch(step.worker, batch, till)
     step = %{step | worker: chain}
 
     case split_handled(batch, results, outcome) do
       {done, nil, nil} ->
-        {:more, step |> post_results(results, done) |> count_batch(tag, done, nil)}
+        {:more, step |> post_results(results, done) |> count_batch(tag, {done, nil}, started)}
 
       {done, nil, rest} ->
-        {:yield, step |> post_results(results, done) |> count_batch(tag, done, rest)}
+        {:yield, step |> post_results(results, done) |> count_batch(tag, {done, rest}, started)}
 
       {done, message, rest} ->
         step = step |> post_results(results, done) |> fail_operator(outcome, message)
         done = if done, do: Batch.messages(done) ++ [message], else: [message]
-        {:more, count_batch(step, tag, done, rest)}
+        {:more, count_batch(step, tag, {done, rest}, started)}
     end
   end
 
@@ -192,10 +211,10 @@ defmodule Situ.Stage.StepRunner do
   end
 
   # Other components take one message at a time, the earliest among their inputs first.
-  defp run_singly(step, {room, deadline}) do
+  defp run_singly(step, {room, started, deadline}) do
     step = Step.read_clock(step)
     {outcome, step, n} = run_singly(step, min(room, step.work.slice), deadline, 0)
-    work = Work.count_slice(step.work, n, max(n, 1), Step.elapsed(step))
+    work = Work.count_slice(step.work, n, max(n, 1), started)
     {outcome, %{step | work: %{work | singly: max(work.singly - n, 0)}}}
   end
 
@@ -208,7 +227,7 @@ defmodule Situ.Stage.StepRunner do
         cond do
           is_tuple(entry) -> {:more, step, n}
           step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
-          :erlang.monotonic_time() > deadline -> {:yield, step, n + 1}
+          past?(deadline) -> {:yield, step, n + 1}
           Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
           true -> run_singly(step, most, deadline, n + 1)
         end
@@ -218,8 +237,10 @@ defmodule Situ.Stage.StepRunner do
     end
   end
 
+  defp past?(deadline), do: :erlang.monotonic_time(:nanosecond) > deadline
+
   # Under a lossy policy, messages in the mailbox join the queue before the next message is taken.
-  defp run_newest(step, input) do
+  defp run_newest(step, input, started) do
     case Input.ensure_fresh(input) do
       {:wait, input} ->
         {:more, Step.put_input(step, input)}
@@ -227,17 +248,17 @@ defmodule Situ.Stage.StepRunner do
       {:ok, input} ->
         step = Step.read_clock(step)
         {entry, input} = Input.pop(input, step.context.now)
-        {:yield, step |> Step.put_input(input) |> run_entry(input, entry)}
+        {:yield, step |> Step.put_input(input) |> run_entry(input, entry, started)}
     end
   end
 
-  defp run_entry(%{worker: %Chain{}} = step, input, entry) when is_struct(entry),
-    do: step |> run_batch(input, [entry], :never) |> elem(1)
+  defp run_entry(%{worker: %Chain{}} = step, input, entry, started) when is_struct(entry),
+    do: step |> run_batch(input, [entry], {started, :never}) |> elem(1)
 
-  defp run_entry(step, input, entry) do
+  defp run_entry(step, input, entry, started) do
     step = handle_entry(step, input, entry)
     n = if is_struct(entry), do: 1, else: 0
-    %{step | work: Work.count_slice(step.work, n, 1, Step.elapsed(step))}
+    %{step | work: Work.count_slice(step.work, n, 1, started)}
   end
 
   defp handle_entry(step, _input, nil), do: step

@@ -81,7 +81,13 @@ defmodule Situ.Stage.Subscriptions do
   defp remove_subscribers(state, which?),
     do: state |> State.map_outputs(&Outputs.remove_subscribers(&1, which?)) |> wake_sources()
 
-  defp wake_sources(state), do: State.map_steps(state, &Step.wake_source/1)
+  @doc "Wakes the sources of the stage, which may have messages again."
+  @spec wake_sources(State.t()) :: State.t()
+  def wake_sources(%{steps: steps} = state) do
+    if elem(steps, 0).source.idle,
+      do: State.update_step(state, 0, &Step.wake_source/1),
+      else: state
+  end
 
   defp subscribe(state, {pid, tag} = from, opts) do
     with :ok <- check_options(opts), {:ok, output} <- State.find_output(state, opts) do

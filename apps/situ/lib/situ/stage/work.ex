@@ -13,6 +13,7 @@ defmodule Situ.Stage.Work do
             singly: 0,
             looked: nil,
             spent: {0, 0},
+            time: 0,
             failure: nil
 
   @typedoc """
@@ -21,7 +22,7 @@ defmodule Situ.Stage.Work do
   if the component still has output left although they have. `singly` is the number of messages of a failed batch that
   are still to be handled one by one. `looked` is how many messages had been taken at the server's last check for
   progress. `spent` is the number of messages handled since the counts were published, and the ns that they took.
-  `failure` is the error that ended the step.
+  `time` is the monotonic time (ns) at which that was last counted. `failure` is the error that ended the step.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -31,15 +32,19 @@ defmodule Situ.Stage.Work do
           singly: non_neg_integer(),
           looked: non_neg_integer() | nil,
           spent: {non_neg_integer(), integer()},
+          time: integer(),
           failure: Situ.Error.t() | nil
         }
 
   @doc """
-  Counts `n` messages that took `elapsed` ns together, out of `taken`. The slice grows while it is quick, and shrinks so
-  that the next one takes about a millisecond.
+  Counts `n` messages, out of `taken`, that were handled together from the monotonic time `started` on. The slice grows
+  while it is quick, and shrinks so that the next one takes about a millisecond.
   """
   @spec count_slice(t(), non_neg_integer(), pos_integer(), integer()) :: t()
-  def count_slice(%__MODULE__{slice: slice, spent: {handled, ns}} = work, n, taken, elapsed) do
+  def count_slice(%__MODULE__{slice: slice, spent: {handled, ns}} = work, n, taken, started) do
+    time = :erlang.monotonic_time(:nanosecond)
+    elapsed = time - started
+
     slice =
       cond do
         n < taken -> max(div(n, 5), 1)
@@ -48,7 +53,7 @@ defmodule Situ.Stage.Work do
         true -> slice
       end
 
-    %{work | slice: slice, spent: {handled + n, ns + elapsed}}
+    %{work | slice: slice, spent: {handled + n, ns + elapsed}, time: time}
   end
 
   @doc "Adds an input that has closed."
