@@ -19,10 +19,15 @@ defmodule Situ.Stage.Loop do
   @spec handle_batches(State.t(), {non_neg_integer(), Input.t()}, [Batch.t()] | {:fresh, list()}) ::
           State.t()
   def handle_batches(state, {i, input}, {:fresh, messages}),
-    do: state |> State.put_input(i, Input.push_refreshed(input, messages)) |> run_slice()
+    do: run_input(state, i, Input.push_refreshed(input, messages))
 
   def handle_batches(state, {i, input}, batches),
-    do: state |> State.put_input(i, Input.push(input, batches)) |> run_slice()
+    do: run_input(state, i, Input.push(input, batches))
+
+  defp run_input(%{steps: {step}} = state, 0, input),
+    do: run_slice(state, Step.put_input(step, input))
+
+  defp run_input(state, i, input), do: state |> State.put_input(i, input) |> run_slice()
 
   @doc "Handles new demand of a consumer."
   @spec handle_demand(State.t()) :: State.t()
@@ -83,6 +88,7 @@ defmodule Situ.Stage.Loop do
 
   @doc "Runs a time slice; if one is already scheduled, only sends pending messages."
   @spec run_slice(State.t()) :: State.t()
+  def run_slice(%{steps: {step}} = state), do: run_slice(state, step)
   def run_slice(%{scheduled: true} = state), do: settle(state)
   def run_slice(%{steps: steps} = state) when elem(steps, 0).phase == :starting, do: settle(state)
 
@@ -91,19 +97,48 @@ defmodule Situ.Stage.Loop do
     run_steps(state, last(state), {0, start, start + @flush_ns, start + @slice_ns})
   end
 
+  # Most stages have one step.
+  defp run_slice(%{scheduled: scheduled?} = state, step)
+       when scheduled? or step.phase == :starting,
+       do: %{state | steps: {StepRunner.settle(step)}}
+
+  defp run_slice(state, step) do
+    start = :erlang.monotonic_time(:nanosecond)
+    {outcome, step} = run_alone(step, start, start + @flush_ns, start + @slice_ns)
+    state = enlarge_heap(state, step)
+    state = %{state | steps: {StepRunner.settle(step)}}
+    if outcome == :idle, do: state, else: schedule(state)
+  end
+
+  defp run_alone(step, now, flush, deadline) do
+    step = resume_demand(step)
+
+    if StepRunner.ready?(step) do
+      room = Outputs.available_room(step.outputs)
+
+      case StepRunner.run_next(step, {room, now, deadline}) do
+        {:more, step} -> run_on(step, max(now, step.work.time), flush, deadline)
+        ended -> ended
+      end
+    else
+      {:idle, step}
+    end
+  end
+
+  defp run_on(step, now, _flush, deadline) when now > deadline, do: {:yield, step}
+
+  defp run_on(step, now, flush, deadline) when now > flush,
+    do: step |> StepRunner.settle() |> run_alone(now, now + @flush_ns, deadline)
+
+  defp run_on(step, now, flush, deadline), do: run_alone(step, now, flush, deadline)
+
   defp last(%{steps: steps}), do: tuple_size(steps) - 1
 
   # Step `i` and those before it may have something to do, down to step `first`.
   defp run_steps(state, i, {first, _now, _flush, _deadline}) when i < first,
     do: if(first == 0, do: settle(state), else: schedule_slice(state))
 
-  defp run_steps(%{steps: steps, links: links} = state, i, times) do
-    if links == %{} and not StepRunner.ready?(elem(steps, i)),
-      do: run_steps(state, i - 1, times),
-      else: run_step(state, i, times)
-  end
-
-  defp run_step(%{steps: steps} = state, i, {_first, now, _flush, deadline} = times) do
+  defp run_steps(%{steps: steps} = state, i, {_first, now, _flush, deadline} = times) do
     step = resume_demand(elem(steps, i))
     {outcome, step} = StepRunner.run_next(step, {available_room(state, step), now, deadline})
     {passed?, state} = state |> State.put_step(i, step) |> pass_on(i)
@@ -136,9 +171,6 @@ defmodule Situ.Stage.Loop do
   defp resume_demand(step), do: step
 
   # Returns how many messages a step may post: none while those before wait for a step after it.
-  defp available_room(%{links: links}, step) when links == %{},
-    do: Outputs.available_room(step.outputs)
-
   defp available_room(state, step) do
     room = Outputs.available_room(step.outputs)
 
@@ -154,8 +186,6 @@ defmodule Situ.Stage.Loop do
   end
 
   # Passes what step `i` has posted on to the steps after it; returns whether there was anything.
-  defp pass_on(%{links: links} = state, _i) when links == %{}, do: {false, state}
-
   defp pass_on(%{steps: steps, links: links} = state, i) do
     step = elem(steps, i)
     {taken, outputs} = step.outputs |> Outputs.flush(step.context.now) |> Outputs.take_local()
@@ -178,6 +208,7 @@ defmodule Situ.Stage.Loop do
 
   @doc "Sends pending messages, publishes counts and sets alarms."
   @spec settle(State.t()) :: State.t()
+  def settle(%{steps: {step}} = state), do: %{state | steps: {StepRunner.settle(step)}}
   def settle(state), do: settle(state, 0, false)
 
   defp settle(%{steps: steps} = state, i, passed?) when i == tuple_size(steps),

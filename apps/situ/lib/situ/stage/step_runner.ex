@@ -74,12 +74,12 @@ defmodule Situ.Stage.StepRunner do
 
   defp run_batch(step, input, batch, {started, _deadline} = times) do
     {batch, input} = drop_late(batch, input, Step.final_time(step))
-    step = step |> Step.put_input(input) |> Step.read_clock()
+    step = Step.read_clock(step)
 
     case {batch, step.worker} do
-      {nil, _worker} -> {:more, step}
-      {batch, %Chain{}} -> run_chain(step, input.tag, batch, times)
-      {batch, %Callback{}} -> call_batch(step, input, batch, started)
+      {nil, _worker} -> {:more, Step.put_input(step, input)}
+      {batch, %Chain{}} -> run_chain(step, input, batch, times)
+      {batch, %Callback{}} -> step |> Step.put_input(input) |> call_batch(input, batch, started)
     end
   end
 
@@ -99,7 +99,7 @@ defmodule Situ.Stage.StepRunner do
     with {:ok, actions, core} <-
            Callback.run_handle_messages(worker, name, messages, step.context),
          {:ok, step} <- CallbackRunner.try_result(step, core, actions) do
-      {:more, count_batch(step, tag, {batch, nil}, started)}
+      {:more, count_batch(step, Map.fetch!(step.inputs.by_tag, tag), {batch, nil}, started)}
     else
       # All messages are handled one by one, before another batch is tried.
       _error ->
@@ -110,11 +110,10 @@ defmodule Situ.Stage.StepRunner do
   end
 
   # Counts the part of a batch that was handled, and returns the other one to the input.
-  defp count_batch(step, tag, {done, rest}, started) do
+  defp count_batch(step, input, {done, rest}, started) do
     n = Batch.size(done)
     taken = if rest, do: n + Batch.size(rest), else: n
     work = Work.count_slice(step.work, n, taken, started)
-    input = Map.fetch!(step.inputs.by_tag, tag)
     input = Input.count_handled(input, n, Batch.last_time(done), step.context.now)
     Step.put_input(%{step | work: work}, return_rest(input, rest, step.phase))
   end
@@ -124,22 +123,22 @@ defmodule Situ.Stage.StepRunner do
   defp return_rest(input, rest, _phase), do: Input.put_back(input, rest)
 
   # Two messages are not worth a look at the time.
-  defp run_chain(step, tag, batch, {started, deadline}) do
+  defp run_chain(step, input, batch, {started, deadline}) do
     till = if Batch.size(batch) > 2, do: deadline, else: :never
     {results, chain, outcome} = Chain.run_batch(step.worker, batch, till)
     step = %{step | worker: chain}
 
     case split_handled(batch, results, outcome) do
       {done, nil, nil} ->
-        {:more, step |> post_results(results, done) |> count_batch(tag, {done, nil}, started)}
+        {:more, step |> post_results(results, done) |> count_batch(input, {done, nil}, started)}
 
       {done, nil, rest} ->
-        {:yield, step |> post_results(results, done) |> count_batch(tag, {done, rest}, started)}
+        {:yield, step |> post_results(results, done) |> count_batch(input, {done, rest}, started)}
 
       {done, message, rest} ->
         step = step |> post_results(results, done) |> fail_operator(outcome, message)
         done = if done, do: Batch.messages(done) ++ [message], else: [message]
-        {:more, count_batch(step, tag, {done, rest}, started)}
+        {:more, count_batch(step, input, {done, rest}, started)}
     end
   end
 
