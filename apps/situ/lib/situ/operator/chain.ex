@@ -4,7 +4,7 @@ defmodule Situ.Operator.Chain do
   # envelopes at the end. Operators without state are composed into one function. An operator that raises is identified
   # by its index, so that the error names the operator that the user wrote.
   alias Situ.Message
-  alias Situ.Ports.Batch
+  alias Situ.Delivery.Batch
 
   @type step ::
           {atom(), fun(), index :: non_neg_integer()}

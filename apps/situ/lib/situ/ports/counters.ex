@@ -3,7 +3,8 @@ defmodule Situ.Ports.Counters do
   # The counters of one edge, in shared memory. The two ends write once per batch, and any process can read at any time.
   # Latency goes into a histogram with four buckets per power of two, so p99 is accurate within 25 %.
 
-  alias Situ.Ports.{Batch, ProgressRing}
+  alias Situ.Delivery.Batch
+  alias Situ.Ports.ProgressRing
 
   @compile {:inline, microseconds: 1, bucket: 1}
 

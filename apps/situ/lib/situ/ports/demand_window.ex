@@ -10,7 +10,7 @@ defmodule Situ.Ports.DemandWindow do
   # 868 MB. With the budget in bytes it held 100 MB.
   # See docs/adr/0011-demand-uses-genstage-messages.md.
   alias Situ.Delivery
-  alias Situ.Ports.Batch
+  alias Situ.Delivery.Batch
 
   @default Delivery.unlimited().window
   @first 8

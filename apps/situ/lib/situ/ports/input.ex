@@ -7,8 +7,8 @@ defmodule Situ.Ports.Input do
   # Subscriber). After a slow callback, the producer is asked for all its messages before the next one is taken, so that
   # the policy applies to everything that was emitted.
   alias Situ.{Delivery, Error, Message, Type}
-  alias Situ.Delivery.Queue
-  alias Situ.Ports.{Batch, Counters, DemandWindow}
+  alias Situ.Delivery.{Batch, Queue}
+  alias Situ.Ports.{Counters, DemandWindow}
 
   @compile {:inline, ask: 2, enter: 2}
 
@@ -130,10 +130,10 @@ defmodule Situ.Ports.Input do
   end
 
   @doc "Returns whether an entry can be taken."
-  @spec ready?(t()) :: boolean()
-  def ready?(%__MODULE__{held: nil, lossy: nil, front: [], rear: []}), do: false
-  def ready?(%__MODULE__{held: nil, lossy: nil}), do: true
-  def ready?(%__MODULE__{} = input), do: head_time(input) != :none
+  @spec has_entry?(t()) :: boolean()
+  def has_entry?(%__MODULE__{held: nil, lossy: nil, front: [], rear: []}), do: false
+  def has_entry?(%__MODULE__{held: nil, lossy: nil}), do: true
+  def has_entry?(%__MODULE__{} = input), do: head_time(input) != :none
 
   @doc "Returns the originating time of the next entry, or `:none`, also while the input is held."
   @spec head_time(t()) :: Situ.Time.t() | :none

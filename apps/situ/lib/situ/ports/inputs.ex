@@ -115,7 +115,7 @@ defmodule Situ.Ports.Inputs do
   @spec earliest_input(t()) :: Input.t() | nil
   def earliest_input(%__MODULE__{tags: [tag], by_tag: by_tag}) do
     input = :erlang.map_get(tag, by_tag)
-    if Input.ready?(input), do: input
+    if Input.has_entry?(input), do: input
   end
 
   def earliest_input(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),

@@ -3,7 +3,8 @@ defmodule Situ.Ports.Output do
   # One output of a running component: what it has posted (see PostingRules), messages that wait for their time, and
   # its subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
   alias Situ.Message
-  alias Situ.Ports.{Batch, Subscriber}
+  alias Situ.Delivery.Batch
+  alias Situ.Ports.Subscriber
 
   @compile {:inline, subtract: 2, record_progress: 2, finish: 1}
 

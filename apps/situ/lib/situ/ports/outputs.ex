@@ -79,7 +79,7 @@ defmodule Situ.Ports.Outputs do
     do: %{outputs | own: for({name, output} <- own, do: {name, Output.flush(output, now)})}
 
   @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
-  @spec take_local(t()) :: {[{term(), [Situ.Ports.Batch.t()]}], t()}
+  @spec take_local(t()) :: {[{term(), [Situ.Delivery.Batch.t()]}], t()}
   def take_local(%__MODULE__{} = outputs) do
     taken =
       for {_, %{subs: subs}} <- outputs.own,

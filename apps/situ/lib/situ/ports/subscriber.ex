@@ -8,8 +8,8 @@ defmodule Situ.Ports.Subscriber do
   # watched by `monitor`.
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
-  alias Situ.Delivery.Queue
-  alias Situ.Ports.{Batch, Counters}
+  alias Situ.Delivery.{Batch, Queue}
+  alias Situ.Ports.Counters
 
   @compile {:inline, send_entry: 2, send_batches: 2, subtract: 2, deliver: 4}
 

@@ -5,7 +5,8 @@ defmodule Situ.Stage.Loop do
   # its mailbox. While another slice is scheduled, new messages only queue.
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
-  alias Situ.Ports.{Batch, Input, Inputs, Outputs}
+  alias Situ.Delivery.Batch
+  alias Situ.Ports.{Input, Inputs, Outputs}
   alias Situ.Stage.{CallbackRunner, State, Step, StepRunner}
 
   @compile {:inline, last: 1, resume_demand: 1, schedule: 1, enlarge_heap: 2}
@@ -15,7 +16,7 @@ defmodule Situ.Stage.Loop do
   @large_batch 64
   @large_heap_words 32_768
 
-  @doc "Handles batches at an input of step `i`, or `{:fresh, messages}`: all messages held by a lossy input's producer."
+  @doc "Handles batches at an input of step `i`, or `{:fresh, messages}`: all that a lossy input's producer held."
   @spec handle_batches(State.t(), {non_neg_integer(), Input.t()}, [Batch.t()] | {:fresh, list()}) ::
           State.t()
   def handle_batches(state, {i, input}, {:fresh, messages}),
@@ -33,7 +34,7 @@ defmodule Situ.Stage.Loop do
   @spec handle_demand(State.t()) :: State.t()
   # Everything was settled when the last slice ended: without anything to take, there is nothing to do.
   def handle_demand(%{steps: {step}} = state),
-    do: if(StepRunner.ready?(step), do: run_slice(state), else: state)
+    do: if(StepRunner.has_work?(step), do: run_slice(state), else: state)
 
   def handle_demand(state), do: run_slice(state)
 
@@ -113,7 +114,7 @@ defmodule Situ.Stage.Loop do
   defp run_alone(step, now, flush, deadline) do
     step = resume_demand(step)
 
-    if StepRunner.ready?(step) do
+    if StepRunner.has_work?(step) do
       room = Outputs.available_room(step.outputs)
 
       case StepRunner.run_next(step, {room, now, deadline}) do

@@ -5,7 +5,8 @@ defmodule Situ.Stage.StepRunner do
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Ports.{Batch, Input, Inputs, Output, Outputs}
+  alias Situ.Delivery.Batch
+  alias Situ.Ports.{Input, Inputs, Output, Outputs}
   alias Situ.Stage.{CallbackRunner, ErrorPolicy, Production, Step, Work}
   require Chain
 
@@ -25,11 +26,11 @@ defmodule Situ.Stage.StepRunner do
   @doc """
   Returns whether the step has something to take or may produce something. It may still lack room for the results.
   """
-  @spec ready?(Step.t()) :: boolean()
-  def ready?(%{phase: :failed}), do: true
-  def ready?(%{source: %{kind: :pull}}), do: true
+  @spec has_work?(Step.t()) :: boolean()
+  def has_work?(%{phase: :failed}), do: true
+  def has_work?(%{source: %{kind: :pull}}), do: true
 
-  def ready?(%{inputs: inputs, work: work}),
+  def has_work?(%{inputs: inputs, work: work}),
     do: work.continue != :none or Inputs.earliest_input(inputs) != nil
 
   @doc """

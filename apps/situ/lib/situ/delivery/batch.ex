@@ -1,4 +1,4 @@
-defmodule Situ.Ports.Batch do
+defmodule Situ.Delivery.Batch do
   @moduledoc false
   # Messages of one output that travel together. Messages that were created at the same time share one envelope:
   # their times and data are two lists, which cost four words per message instead of fourteen. Messages with
