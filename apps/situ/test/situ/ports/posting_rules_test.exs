@@ -14,7 +14,7 @@ defmodule Situ.Ports.PostingRulesTest do
       options: [
         times: [type: :list],
         at_once: [type: :boolean, default: true],
-        as: [type: {:in, [:data, :messages, :batch]}, default: :data]
+        as: [type: {:in, [:data, :messages, :batch, :columns]}, default: :data]
       ]
 
     @impl true
@@ -27,6 +27,11 @@ defmodule Situ.Ports.PostingRulesTest do
     def handle_demand(_n, _context, {items, true, :batch}) do
       messages = for item <- items, do: item |> post(:messages) |> elem(1)
       {[{:out, messages}], {[], true, :batch}}
+    end
+
+    def handle_demand(_n, _context, {items, true, :columns}) do
+      {times, data} = Enum.unzip(items)
+      {[{:out, times, data}], {[], true, :columns}}
     end
 
     def handle_demand(_n, _context, {items, true, as}),
@@ -95,6 +100,33 @@ defmodule Situ.Ports.PostingRulesTest do
 
       assert elem(whole, 0) == elem(each, 0)
       assert got == expected
+    end
+  end
+
+  property "columns behave like their messages one after another", numtests: 60 do
+    forall {steps, how} <- {list(integer(-1, 3)), integer(0, 2)} do
+      times = steps |> Enum.scan(&+/2) |> Enum.map(&(&1 + 40))
+      common = Enum.at([[], [on_same_time: :drop], [on_same_time: :nudge]], how)
+      {columns, got} = run([times: times, as: if(times == [], do: :data, else: :columns)], common)
+      {each, expected} = run([times: times, as: :data], common)
+
+      assert elem(columns, 0) == elem(each, 0)
+      assert got == expected
+    end
+  end
+
+  defmodule Uneven do
+    use Situ.Component, outputs: [out: :any], options: [columns: [type: :any]]
+    @impl true
+    def init(opts), do: {:ok, opts[:columns]}
+    @impl true
+    def handle_demand(_n, _context, {times, data} = state), do: {[{:out, times, data}], state}
+  end
+
+  test "columns of different lengths, or without times, are not an action" do
+    for columns <- [{[1, 2], [:a]}, {[1, :b], [:a, :b]}] do
+      build = fn p -> p |> Situ.source(Uneven, columns: columns) |> Situ.each(& &1) end
+      assert {:error, %{code: :bad_action}} = Pipeline.run(build)
     end
   end
 
