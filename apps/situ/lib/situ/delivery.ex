@@ -16,6 +16,10 @@ defmodule Situ.Delivery do
   grows if the input is lossless. A dropping policy keeps its queue at the producer, so a slow consumer never holds
   more than the size of the queue.
 
+  If the process of a consumer with `on_error: :restart` dies, a lossless policy delivers again what it had not
+  handled. The restarted consumer emits nothing twice: messages up to its last one are not emitted again. With
+  `on_restart: :drop`, these messages are lost and count as dropped.
+
       iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)
       iex> {Situ.Delivery.lossy?(policy), policy.max_queue}
       {true, 3}
@@ -31,7 +35,8 @@ defmodule Situ.Delivery do
     max_queue: :infinity,
     max_latency: :infinity,
     window: @window,
-    throttle: false
+    throttle: false,
+    on_restart: :redeliver
   ]
 
   @type kind :: :unlimited | :latest | :max_queue | :max_latency | :throttle | :synchronous
@@ -41,7 +46,8 @@ defmodule Situ.Delivery do
           max_queue: pos_integer() | :infinity,
           max_latency: Situ.Time.duration() | :infinity,
           window: pos_integer() | :infinity,
-          throttle: boolean()
+          throttle: boolean(),
+          on_restart: :redeliver | :drop
         }
 
   @schema [
@@ -50,6 +56,13 @@ defmodule Situ.Delivery do
       type: {:or, [:pos_integer, {:in, [:infinity]}]},
       default: @window,
       doc: "Messages in flight before the producer waits; with `:infinity` it never waits."
+    ],
+    on_restart: [
+      type: {:in, [:redeliver, :drop]},
+      default: :redeliver,
+      doc:
+        "What happens to messages that a consumer had received, but not handled, when its process died and is " <>
+          "restarted. A policy that loses messages always drops them."
     ]
   ]
 

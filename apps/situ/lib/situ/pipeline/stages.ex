@@ -176,7 +176,10 @@ defmodule Situ.Pipeline.Stages do
       out_of
       |> Enum.filter(&is_map_key(state.life.links.active, &1.id))
       |> Enum.sort_by(& &1.id)
-      |> Enum.group_by(& &1.output, &{&1.id, state.stages[&1.to].pid, counters[&1.id], &1.policy})
+      |> Enum.group_by(& &1.output, fn link ->
+        consumer = state.stages[link.to]
+        {link.id, consumer.pid, counters[link.id], subscriber_policy(link.policy, consumer)}
+      end)
 
     state.timing
     |> Map.take([:clock, :enforce, :replay_start, :replay_end])
@@ -189,6 +192,11 @@ defmodule Situ.Pipeline.Stages do
       sizes: state.settings.message_sizes
     })
   end
+
+  @doc "Returns the policy for a subscriber: only a stage that is restarted can receive messages again."
+  @spec subscriber_policy(Situ.Delivery.t(), State.stage()) :: Situ.Delivery.t()
+  def subscriber_policy(policy, %{marks: nil}), do: %{policy | on_restart: :drop}
+  def subscriber_policy(policy, _restarted), do: policy
 
   @doc "Informs the neighbours of a restarted stage about its new process."
   @spec rewire_stage(State.t(), pos_integer(), [{term(), map()}]) :: State.t()

@@ -17,6 +17,8 @@ defmodule Situ.Ports.Counters do
   @waiting 6
   @held 7
   @wanted 8
+  @handed 9
+  @handed_time 10
   @processed 17
   @dropped 18
   @reached 19
@@ -71,6 +73,23 @@ defmodule Situ.Ports.Counters do
   @doc "Sets how many messages a lossy policy holds back at the producer."
   @spec put_held_count(t(), non_neg_integer()) :: :ok
   def put_held_count(ref, n), do: :atomics.put(ref, @held, n)
+
+  @doc "Counts `n` messages that were sent to the consumer, the last at the originating time `time`."
+  @spec count_handed(t(), pos_integer(), Situ.Time.t()) :: :ok
+  def count_handed(ref, n, time) do
+    :atomics.put(ref, @handed_time, time)
+    :atomics.add(ref, @handed, n)
+  end
+
+  @doc """
+  Forgets messages that a dead producer had emitted, but not sent; returns how many it had sent, and the last time.
+  """
+  @spec forget_unsent(t()) :: {non_neg_integer(), Situ.Time.t()}
+  def forget_unsent(ref) do
+    handed = :atomics.get(ref, @handed)
+    :atomics.put(ref, @emitted, handed)
+    {handed, :atomics.get(ref, @handed_time)}
+  end
 
   @doc "Returns how many messages are held back at the producer."
   @spec held_count(t()) :: non_neg_integer()

@@ -6,7 +6,7 @@ defmodule Situ.Ports.Output do
   alias Situ.Delivery.Batch
   alias Situ.Ports.Subscriber
 
-  @compile {:inline, subtract: 2, record_progress: 2, finish: 1}
+  @compile {:inline, subtract: 2, record_posted: 2, record_sent: 1, finish: 1}
 
   @nothing {[], []}
 
@@ -83,33 +83,49 @@ defmodule Situ.Ports.Output do
   there.
   """
   @spec new_marks(non_neg_integer()) :: marks()
-  def new_marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)
+  def new_marks(outputs), do: :atomics.new(max(outputs, 1) * 6, signed: true)
 
   @doc "Attaches the output to its entry in `marks`; it continues from the previous progress and records its own."
   @spec attach_marks(t(), marks() | nil, non_neg_integer()) :: t()
   def attach_marks(output, nil, _index), do: output
 
   def attach_marks(%__MODULE__{port: port} = output, marks, index) do
-    output = %{output | port: %{port | mark: {marks, index * 3}}}
+    output = %{output | port: %{port | mark: {marks, index * 6}}}
 
-    case :atomics.get(marks, index * 3 + 3) do
+    case :atomics.get(marks, index * 6 + 3) do
       0 ->
         output
 
       seq ->
-        time = :atomics.get(marks, index * 3 + 1)
-        creation = :atomics.get(marks, index * 3 + 2)
+        time = :atomics.get(marks, index * 6 + 1)
+        creation = :atomics.get(marks, index * 6 + 2)
         resume_after_restart(%{output | last_time: time, last_creation: creation, seq: seq})
     end
   end
 
-  defp record_progress(%{mark: nil}, _stamp), do: :ok
+  # Words 4 to 6 are the stamp of the last message that was posted, words 1 to 3 of the last one that every subscriber
+  # has been sent. What still waits for demand is posted again by a process that replaces this one.
+  defp record_posted(%{mark: nil}, _stamp), do: :ok
 
-  defp record_progress(%{mark: {marks, base}}, {time, creation, id}) do
-    :atomics.put(marks, base + 1, time)
-    :atomics.put(marks, base + 2, creation)
-    :atomics.put(marks, base + 3, id)
+  defp record_posted(%{mark: {marks, base}}, {time, creation, id}) do
+    :atomics.put(marks, base + 4, time)
+    :atomics.put(marks, base + 5, creation)
+    :atomics.put(marks, base + 6, id)
   end
+
+  defp record_sent(%{port: %{mark: nil}} = output), do: output
+
+  defp record_sent(%{port: %{mark: {marks, base}}} = output) do
+    if all_sent?(output),
+      do: for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3)))
+
+    output
+  end
+
+  @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
+  @spec all_sent?(t()) :: boolean()
+  def all_sent?(%__MODULE__{pending: pending, subs: subs}),
+    do: pending == [] and Enum.all?(subs, &(&1.size == 0 or &1.queue != nil))
 
   @doc "Marks messages up to the last time as already posted, because the component restarts."
   @spec resume_after_restart(t()) :: t()
@@ -217,13 +233,10 @@ defmodule Situ.Ports.Output do
   def flush(%__MODULE__{ending: {:withheld, _time}} = output, _now), do: output
   def flush(%__MODULE__{pending: []} = output, _now), do: finish(output)
 
-  def flush(%__MODULE__{subs: []} = output, _now),
-    do: finish(%{output | pending: [], pending_n: 0})
-
   def flush(%__MODULE__{pending_n: n} = output, now) do
     batches = close_parts(output.pending, output.port.source_id, [])
     {time, creation, _id} = stamp = Batch.last_stamp(:lists.last(batches))
-    record_progress(output.port, stamp)
+    record_posted(output.port, stamp)
     latency = {time, creation - time}
     subs = for sub <- output.subs, do: Subscriber.deliver_batches(sub, batches, n, latency, now)
     finish(%{output | pending: [], pending_n: 0, subs: subs})
@@ -324,13 +337,15 @@ defmodule Situ.Ports.Output do
   def buffered_count(%__MODULE__{} = output),
     do: Enum.reduce(output.subs, output.pending_n, &max(&1.size, &2))
 
+  defp finish(output), do: output |> record_sent() |> send_closing()
+
   # Sends the closing mark to the subscribers that have received all their messages.
-  defp finish(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
+  defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
     {done, waiting} = Enum.split_with(output.subs, &(&1.size == 0))
     Enum.each(done, &Subscriber.send_close(&1, time))
     ending = if waiting == [], do: {:closed, time}, else: output.ending
     %{output | subs: waiting, ending: ending}
   end
 
-  defp finish(output), do: output
+  defp send_closing(output), do: output
 end

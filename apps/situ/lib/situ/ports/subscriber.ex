@@ -6,12 +6,16 @@ defmodule Situ.Ports.Subscriber do
   # A consumer is another stage of the pipeline, which takes batches; another step of the same stage (`demand: :local`),
   # for which the stage collects them with `take_buffer/1`; or a GenStage process, which takes messages and may be
   # watched by `monitor`.
+  #
+  # If the policy redelivers, `unacked` holds what was sent and not handled yet: a process that replaces a dead consumer
+  # receives it again. The consumer's counters tell how much it has handled. Conversely, a process that replaces a dead
+  # producer skips what the dead one had sent (`resume`).
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}
   alias Situ.Ports.Counters
 
-  @compile {:inline, send_entry: 2, send_batches: 2, subtract: 2, deliver: 4}
+  @compile {:inline, send_entry: 2, send_batches: 3, retain_batches: 2, subtract: 2, deliver: 4}
 
   @enforce_keys [:tag, :pid]
   defstruct [
@@ -20,6 +24,8 @@ defmodule Situ.Ports.Subscriber do
     :counters,
     :monitor,
     :queue,
+    :unacked,
+    :resume,
     demand: 0,
     buffer: [],
     rear: [],
@@ -27,13 +33,18 @@ defmodule Situ.Ports.Subscriber do
     waiting: false
   ]
 
-  @typedoc "`buffer` and `rear` (reversed): batches that wait for demand; `queue`: the same under a lossy policy."
+  @typedoc """
+  `buffer` and `rear` (reversed) hold batches that wait for demand, `queue` the same under a lossy policy. `unacked` is
+  the number of messages that the consumer is known to have handled, and the batches after them.
+  """
   @type t :: %__MODULE__{
           tag: term(),
           pid: pid(),
           counters: Counters.t() | nil,
           monitor: reference() | nil,
           queue: Queue.t() | nil,
+          unacked: {non_neg_integer(), :queue.queue(Batch.t())} | nil,
+          resume: Situ.Time.t() | nil,
           demand: integer() | :infinity | :local,
           buffer: [Batch.t()],
           rear: [Batch.t()],
@@ -45,8 +56,16 @@ defmodule Situ.Ports.Subscriber do
   @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
     if counters, do: Counters.put_held_count(counters, 0)
-    queue = if policy != nil and Delivery.lossy?(policy), do: Queue.new(policy)
-    %__MODULE__{tag: tag, pid: pid, counters: counters, queue: queue}
+    lossy? = policy != nil and Delivery.lossy?(policy)
+    redeliver? = policy != nil and policy.on_restart == :redeliver and not lossy?
+
+    %__MODULE__{
+      tag: tag,
+      pid: pid,
+      counters: counters,
+      queue: if(lossy?, do: Queue.new(policy)),
+      unacked: if(redeliver?, do: {0, :queue.new()})
+    }
   end
 
   @doc "Builds a subscriber for another step of the calling stage."
@@ -55,7 +74,57 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()
-  def replace_consumer(%__MODULE__{} = sub, pid), do: %{sub | pid: pid, demand: 0}
+  def replace_consumer(%__MODULE__{unacked: nil} = sub, pid) do
+    {emitted, processed, dropped} = Counters.flow_counts(sub.counters)
+    count_dropped(sub, max(emitted - sub.size - processed - dropped, 0))
+    %{sub | pid: pid, demand: 0}
+  end
+
+  def replace_consumer(%__MODULE__{} = sub, pid) do
+    %{unacked: {handled, queue}} = sub = forget_handled(sub)
+    batches = :queue.to_list(queue)
+    n = batches |> Enum.map(&Batch.size/1) |> Enum.sum()
+    Counters.count_handed(sub.counters, -n, 0)
+    sub = %{sub | unacked: {handled, :queue.new()}, buffer: batches ++ sub.buffer}
+    %{sub | pid: pid, demand: 0, size: sub.size + n}
+  end
+
+  @doc "Continues after the messages that a dead producer had sent to the consumer."
+  @spec resume_after_restart(t()) :: t()
+  def resume_after_restart(%__MODULE__{queue: nil, counters: counters} = sub) do
+    {handed, time} = Counters.forget_unsent(counters)
+    unacked = with {_, queue} <- sub.unacked, do: {handed, queue}
+    %{sub | unacked: unacked, resume: if(handed > 0, do: time)}
+  end
+
+  def resume_after_restart(%__MODULE__{} = sub), do: sub
+
+  # Forgets the messages that the consumer has handled.
+  defp forget_handled(%{unacked: {known, queue}} = sub) do
+    {_emitted, processed, dropped} = Counters.flow_counts(sub.counters)
+    handled = processed + dropped
+
+    if handled > known,
+      do: %{sub | unacked: {handled, drop_first(queue, handled - known)}},
+      else: sub
+  end
+
+  defp forget_handled(sub), do: sub
+
+  defp drop_first(queue, 0), do: queue
+
+  defp drop_first(queue, n) do
+    case :queue.out(queue) do
+      {:empty, queue} ->
+        queue
+
+      {{:value, batch}, rest} ->
+        case Batch.split(batch, n) do
+          {batch, nil} -> drop_first(rest, n - Batch.size(batch))
+          {_handled, batch} -> :queue.in_r(batch, rest)
+        end
+    end
+  end
 
   @doc "Sends the closing mark, after the last message."
   @spec send_close(t(), Situ.Time.t()) :: term()
@@ -78,6 +147,17 @@ defmodule Situ.Ports.Subscriber do
           Situ.Time.t()
         ) ::
           t()
+  def deliver_batches(%{resume: until} = sub, batches, _n, latency, now) when until != nil do
+    case Enum.flat_map(batches, &batches_after(&1, until)) do
+      [] ->
+        sub
+
+      batches ->
+        n = batches |> Enum.map(&Batch.size/1) |> Enum.sum()
+        deliver_batches(%{sub | resume: nil}, batches, n, latency, now)
+    end
+  end
+
   def deliver_batches(sub, batches, n, {time, created}, now) do
     if sub.counters do
       Counters.count_emitted(sub.counters, n, created, now - time)
@@ -87,14 +167,19 @@ defmodule Situ.Ports.Subscriber do
     deliver(sub, batches, n, now)
   end
 
+  defp batches_after(batch, until) do
+    case Batch.split_after(batch, until) do
+      {_sent, nil} -> []
+      {_sent, batch} -> [batch]
+    end
+  end
+
   defp deliver(%{demand: :local} = sub, batches, _n, _now),
     do: %{sub | rear: :lists.reverse(batches, sub.rear)}
 
   defp deliver(%{size: 0, demand: demand} = sub, batches, n, _now)
-       when demand == :infinity or demand >= n do
-    send_batches(sub, batches)
-    %{sub | demand: subtract(demand, n)}
-  end
+       when demand == :infinity or demand >= n,
+       do: send_batches(%{sub | demand: subtract(demand, n)}, batches, n)
 
   defp deliver(%{queue: nil} = sub, batches, n, _now),
     do: send_waiting(%{sub | rear: :lists.reverse(batches, sub.rear), size: sub.size + n})
@@ -120,7 +205,7 @@ defmodule Situ.Ports.Subscriber do
   @spec add_demand(t(), pos_integer() | :infinity) :: t()
   def add_demand(%__MODULE__{demand: demand} = sub, n) do
     demand = if :infinity in [demand, n], do: :infinity, else: demand + n
-    send_waiting(%{sub | demand: demand})
+    send_waiting(forget_handled(%{sub | demand: demand}))
   end
 
   @doc "Delivers all messages waiting under a lossy policy, unless already done; the batch may be empty."
@@ -131,7 +216,7 @@ defmodule Situ.Ports.Subscriber do
 
   defp hand_over(%{queue: queue} = sub) do
     put_held(sub, 0)
-    send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:fresh, Queue.to_list(queue)}})
+    send_entry(sub, {:fresh, Queue.to_list(queue)})
     %{sub | queue: Queue.new(queue.policy), size: 0}
   end
 
@@ -167,15 +252,15 @@ defmodule Situ.Ports.Subscriber do
 
   defp send_waiting(%{queue: nil, demand: demand} = sub) do
     {batches, n, rest} = take_within(sub.buffer, demand, [], 0)
-    send_batches(sub, batches)
-    send_waiting(%{sub | buffer: rest, size: sub.size - n, demand: subtract(demand, n)})
+    sub = %{sub | buffer: rest, size: sub.size - n, demand: subtract(demand, n)}
+    sub |> send_batches(batches, n) |> send_waiting()
   end
 
   # Protected messages may be more than were asked for.
   defp send_waiting(%{queue: queue, demand: demand} = sub) do
     {messages, n, queue} = Queue.take(queue, demand)
-    if messages != [], do: send_batches(sub, [messages])
     sub = %{sub | queue: queue, size: queue.size, demand: subtract(demand, n)}
+    sub = if messages == [], do: sub, else: send_batches(sub, [messages], n)
     note_waiting(sub, sub.size > 0)
   end
 
@@ -189,10 +274,21 @@ defmodule Situ.Ports.Subscriber do
   end
 
   # Only the stages of a pipeline have counters for their connections.
-  defp send_batches(%{counters: nil} = sub, batches),
-    do: send_entry(sub, Enum.flat_map(batches, &Batch.messages/1))
+  defp send_batches(%{counters: nil} = sub, batches, _n) do
+    send_entry(sub, Enum.flat_map(batches, &Batch.messages/1))
+    sub
+  end
 
-  defp send_batches(sub, batches), do: send_entry(sub, batches)
+  defp send_batches(sub, batches, n) do
+    send_entry(sub, batches)
+    Counters.count_handed(sub.counters, n, Batch.last_time(:lists.last(batches)))
+    retain_batches(sub, batches)
+  end
+
+  defp retain_batches(%{unacked: nil} = sub, _batches), do: sub
+
+  defp retain_batches(%{unacked: {handled, queue}} = sub, batches),
+    do: %{sub | unacked: {handled, Enum.reduce(batches, queue, &:queue.in/2)}}
 
   defp send_entry(sub, entry), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, entry})
 

@@ -32,8 +32,8 @@ defmodule Situ.Stage.Loop do
 
   @doc "Handles new demand of a consumer."
   @spec handle_demand(State.t()) :: State.t()
-  # Everything was settled when the last slice ended: without anything to take, there is nothing to do.
-  def handle_demand(%{steps: {step}} = state),
+  # Everything was settled when the last slice ended: without anything to take or to publish, there is nothing to do.
+  def handle_demand(%{steps: {%{inputs: %{touched: []}} = step}} = state),
     do: if(StepRunner.has_work?(step), do: run_slice(state), else: state)
 
   def handle_demand(state), do: run_slice(state)
@@ -210,18 +210,22 @@ defmodule Situ.Stage.Loop do
   @doc "Sends pending messages, publishes counts and sets alarms."
   @spec settle(State.t()) :: State.t()
   def settle(%{steps: {step}} = state), do: %{state | steps: {StepRunner.settle(step)}}
-  def settle(state), do: settle(state, 0, false)
+  def settle(state), do: settle(state, last(state), false)
 
-  defp settle(%{steps: steps} = state, i, passed?) when i == tuple_size(steps),
+  # Downstream first: an input is acknowledged when everything made of it has been sent.
+  defp settle(state, -1, passed?),
     do: if(passed?, do: schedule(state), else: state)
 
   defp settle(%{steps: steps} = state, i, passed?) do
     step = elem(steps, i)
 
     {also?, state} =
-      state |> enlarge_heap(step) |> State.put_step(i, StepRunner.settle(step)) |> pass_on(i)
+      state
+      |> enlarge_heap(step)
+      |> State.put_step(i, StepRunner.settle(step, State.may_acknowledge?(state)))
+      |> pass_on(i)
 
-    settle(state, i + 1, passed? or also?)
+    settle(state, i - 1, passed? or also?)
   end
 
   defp schedule_slice(state), do: state |> settle() |> schedule()

@@ -38,7 +38,13 @@ defmodule Situ.Stage.State do
 
   @spec new(map()) :: t()
   def new(%{vertices: vertices} = args) do
-    host = %{owner: {args.server, args.id}, errors: args.tally, clock: nil, control: nil}
+    host = %{
+      owner: {args.server, args.id},
+      errors: args.tally,
+      restarts?: args[:marks] != nil,
+      clock: nil,
+      control: nil
+    }
 
     {steps, _outputs} =
       vertices
@@ -194,12 +200,31 @@ defmodule Situ.Stage.State do
   defp wire_outputs(step, wiring) do
     Step.map_outputs(step, fn %{port: %{name: name}} = output ->
       subs =
-        for {tag, pid, counters, policy} <- Map.get(wiring.subs, name, []),
-            do: Subscriber.new(tag, pid, counters, policy)
+        for {tag, pid, counters, policy} <- Map.get(wiring.subs, name, []) do
+          sub = Subscriber.new(tag, pid, counters, policy)
+          if step.host.restarts?, do: Subscriber.resume_after_restart(sub), else: sub
+        end
 
       %{output | subs: subs}
     end)
   end
+
+  @doc """
+  Returns whether what the stage has taken may count as handled: a process that replaces it receives the rest again, so
+  nothing that it has made of the messages may still wait here.
+  """
+  @spec may_acknowledge?(t()) :: boolean()
+  def may_acknowledge?(%__MODULE__{host: %{restarts?: false}}), do: true
+
+  def may_acknowledge?(%__MODULE__{} = state) do
+    Enum.all?(list_steps(state), fn step ->
+      not Enum.any?(step.inputs.by_tag, &local_waiting?/1) and
+        (step.phase == :failed or Outputs.all_sent?(step.outputs))
+    end)
+  end
+
+  defp local_waiting?({_tag, %{producer: nil} = input}), do: Input.has_entry?(input)
+  defp local_waiting?(_from_another_process), do: false
 
   @doc "Replaces the pid of a restarted neighbour."
   @spec replace_neighbour(t(), term(), pid()) :: t()

@@ -30,11 +30,13 @@ defmodule Situ.Stage.Step do
 
   @typedoc """
   `owner` is the pipeline's server and the stage's id there. `control` holds shared cells: the time up to which messages
-  count, and whether the stage is patient. Clock and control are known when the stage is wired.
+  count, and whether the stage is patient. With `restarts?`, another process replaces this one when it dies. Clock and
+  control are known when the stage is wired.
   """
   @type host :: %{
           owner: {server :: pid(), id :: pos_integer()},
           errors: ErrorCounters.t(),
+          restarts?: boolean(),
           clock: Clock.t() | nil,
           control: :atomics.atomics_ref() | nil
         }

@@ -308,7 +308,7 @@ defmodule Situ.Stage.StepRunner do
   # The pipeline's server closes the outputs once all inputs of the stage have closed; those of a step that gets its
   # messages from this process close with its input.
   defp close_input(step, %{name: name, tag: tag, producer: producer}, time) do
-    step = send_pending(step)
+    step = step |> send_pending(true) |> publish_counts()
     {known?, inputs} = Inputs.close_input(step.inputs, name, tag)
     step = %{step | inputs: inputs}
 
@@ -331,17 +331,28 @@ defmodule Situ.Stage.StepRunner do
     end)
   end
 
-  @doc "Ends a time slice: sends messages, publishes counts, and sets the alarm."
-  @spec settle(Step.t()) :: Step.t()
-  def settle(step), do: step |> end_linger() |> send_pending() |> report_closings() |> release()
+  @doc """
+  Ends a time slice: sends messages, publishes counts, and sets the alarm. With `all_sent?: false`, messages that other
+  steps have made of these inputs still wait in the stage.
+  """
+  @spec settle(Step.t(), boolean()) :: Step.t()
+  def settle(step, all_sent? \\ true),
+    do: step |> end_linger() |> send_pending(all_sent?) |> report_closings() |> release()
 
-  @doc "Sends pending messages, publishes counts and requests more messages."
-  @spec send_pending(Step.t()) :: Step.t()
-  def send_pending(%{work: %{spent: spent} = work} = step) do
+  # Counts and demand are published when everything made of the inputs has been sent: a process that replaces this one
+  # receives the rest again.
+  defp send_pending(%{host: %{restarts?: restarts?}} = step, all_sent?) do
     outputs = Outputs.flush(step.outputs, step.context.now)
-    inputs = Inputs.settle_touched(step.inputs, spent)
+    step = %{step | outputs: outputs}
+
+    if restarts? and not (all_sent? and Outputs.all_sent?(outputs)),
+      do: step,
+      else: publish_counts(step)
+  end
+
+  defp publish_counts(%{work: %{spent: spent} = work} = step) do
     work = if spent == {0, 0}, do: work, else: %{work | spent: {0, 0}}
-    %{step | outputs: outputs, inputs: inputs, work: work}
+    %{step | inputs: Inputs.settle_touched(step.inputs, spent), work: work}
   end
 
   # An input counts as closed once the component has emitted everything for it.

@@ -53,8 +53,14 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   def lend_output(state, tag) do
     link = state.wires.links[tag]
     counters = state.wires.counters[tag]
-    pid = state.stages[link.to].pid
-    Stages.send_request(state, link.from, {:lend, tag, link.output, pid, counters, link.policy})
+    consumer = state.stages[link.to]
+    policy = Stages.subscriber_policy(link.policy, consumer)
+
+    Stages.send_request(
+      state,
+      link.from,
+      {:lend, tag, link.output, consumer.pid, counters, policy}
+    )
   end
 
   @doc """

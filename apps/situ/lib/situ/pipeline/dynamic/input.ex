@@ -127,7 +127,8 @@ defmodule Situ.Pipeline.Dynamic.Input do
     edge = %Edge{id: tag, from: {origin, output}, to: {id, input}, policy: policy, explicit: true}
     link = Stages.build_link(edge, source.id, taker.id)
     counters = Counters.new()
-    Stages.send_request(state, source.id, {:lend, tag, output, taker.pid, counters, policy})
+    lent = Stages.subscriber_policy(policy, taker)
+    Stages.send_request(state, source.id, {:lend, tag, output, taker.pid, counters, lent})
     edges = Map.put(state.graph.edges, tag, edge)
     state = %{state | graph: %{state.graph | edges: edges, next_edge: tag + 1}}
     state = update_wires(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})

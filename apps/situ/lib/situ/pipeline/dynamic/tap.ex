@@ -157,7 +157,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
       index: index,
       pid: pid,
       counters: state.wires.counters[tap.tag],
-      policy: state.wires.links[tap.tag].policy
+      policy: Stages.subscriber_policy(state.wires.links[tap.tag].policy, state.stages[id])
     }
 
     Stages.send_request(state, tap.source, {:tap, wiring})
