@@ -2,7 +2,7 @@ defmodule Situ.Test.Idle do
   @moduledoc false
   # Waits, without sleeping, until a pipeline with a manual clock is idle.
   alias Situ.Clock
-  alias Situ.Parallel.Processes
+  alias Situ.Parallel
   alias Situ.Stage.State
 
   @spec await_idle(pid(), Clock.t()) :: :ok
@@ -38,8 +38,10 @@ defmodule Situ.Test.Idle do
       %State{timers: %{alarm: {due, _wait, _timer}}} when due <= now ->
         [:due]
 
-      %State{callback: %{core: %Processes{} = core}} = state ->
-        branches = Enum.flat_map(Processes.branch_pipelines(core), &probe_pipeline(&1, now))
+      %State{callback: %{core: %Parallel.Component{} = core}} = state ->
+        branches =
+          Enum.flat_map(Parallel.Component.branch_pipelines(core), &probe_pipeline(&1, now))
+
         [:erlang.phash2(state) | branches]
 
       state ->

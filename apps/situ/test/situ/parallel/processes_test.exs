@@ -209,7 +209,7 @@ defmodule Situ.Parallel.ProcessesTest do
       for pid <- links,
           is_pid(pid),
           %Situ.Stage.State{callback: %{module: module}} <- [:sys.get_state(pid)],
-          module != Situ.Parallel.Processes,
+          module != Situ.Parallel.Component,
           do: pid
     end
 
@@ -380,7 +380,7 @@ defmodule Situ.Parallel.ProcessesTest do
       for pid <- links,
           is_pid(pid),
           match?(
-            %Situ.Stage.State{callback: %{module: Situ.Parallel.Processes}},
+            %Situ.Stage.State{callback: %{module: Situ.Parallel.Component}},
             :sys.get_state(pid)
           ),
           do: Process.exit(pid, :kill)
