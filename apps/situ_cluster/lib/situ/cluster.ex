@@ -89,6 +89,7 @@ defmodule Situ.Cluster do
     StreamEntry,
     Deployment,
     LogLines,
+    Member,
     Overview
   }
 
@@ -533,6 +534,38 @@ defmodule Situ.Cluster do
       GenServer.multi_call(nodes, Agent, {:runners, deployment.name}, @answer_ms)
 
     Map.merge(Map.new(nodes, &{&1, %{}}), Map.new(answers))
+  end
+
+  @doc """
+  Returns the node for the branch of `key`, for `Situ.parallel/3`:
+
+      Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end,
+        branches: {:nodes, &Situ.Cluster.choose_node(&1, on: "gpu")}
+      )
+
+  Keys are spread evenly over the nodes that the rule prefers. When a node is lost, its branches fail, and with
+  `on_branch_error: :restart` start again on other nodes. Raises `Situ.Error` `:no_node` if the rule is `only:` and
+  excludes all members.
+
+    * `on:`, `only:`: as in the rules of `place:` in `deploy/2`; by default, all members
+  """
+  @spec choose_node(term(), keyword()) :: node()
+  def choose_node(key, rule \\ []) do
+    rule = %{on: List.wrap(rule[:on]), only: rule[:only] || false}
+
+    with :ok <- check_member(),
+         node when node != nil <- Placement.choose_branch_node(Member.list_members(), rule, key) do
+      node
+    else
+      {:error, error} ->
+        raise error
+
+      nil ->
+        raise Error.new(:no_node, "no node may run the branch of #{inspect(key, limit: 5)}",
+                why: "no member matches #{inspect(rule.on)}",
+                fix: "start a member with one of these labels or devices, or omit only:"
+              )
+    end
   end
 
   @doc "Returns how a pipeline would be split: the names of the parts and the streams between them."

@@ -123,18 +123,20 @@ defmodule Situ.Parallel.Branches do
   defp put_read(_core, nil), do: nil
   defp put_read(core, {event, running}), do: {event, %{core | running: running}}
 
-  @doc "Returns whether any branch that the first undecided time is waiting for is working."
-  @spec working?(t()) :: boolean()
-  def working?(core) do
+  @doc "Returns the pipelines of the branches that have not ended; see `c:Situ.Parallel.Strategy.pipelines/1`."
+  @spec pipelines(t()) :: [{Strategy.branch(), pid(), boolean()}]
+  def pipelines(core), do: core.strategy.pipelines(core.running)
+
+  @doc "Returns the branches that the first undecided time is waiting for."
+  @spec awaited_branches(t()) :: MapSet.t(Strategy.branch())
+  def awaited_branches(core) do
     live = for {key, times} <- core.waiting, do: {Map.fetch!(core.branches, key), times}
     ending = for {branch, {_key, times}} <- core.ending, do: {branch, times}
 
-    awaited =
-      for {branch, times} <- live ++ ending,
-          PendingOutputs.awaited?(core.pending, times),
-          do: branch
-
-    core.strategy.working?(core.running, awaited)
+    for {branch, times} <- live ++ ending,
+        PendingOutputs.awaited?(core.pending, times),
+        into: MapSet.new(),
+        do: branch
   end
 
   # Feeding. The accumulator has the values at this time, the keys that are known to have none because they have emitted

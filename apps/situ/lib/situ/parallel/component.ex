@@ -66,7 +66,7 @@ defmodule Situ.Parallel.Component do
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
 
   def handle_info({:hold_ended, :in}, _context, %{held?: true, core: core} = state) do
-    if state.moved? or Branches.working?(core),
+    if state.moved? or working?(core),
       do: {[{:hold, :in}], %{state | moved?: false}},
       else: {[], %{state | held?: false, limit: state.limit * 2}}
   end
@@ -80,6 +80,15 @@ defmodule Situ.Parallel.Component do
         {outputs, state} = handle_events(result, state, [])
         hold_or_resume(outputs, state)
     end
+  end
+
+  # A branch that reports every part will report those that wait for it.
+  defp working?(core) do
+    awaited = Branches.awaited_branches(core)
+
+    Enum.any?(Branches.pipelines(core), fn {branch, pid, reports?} ->
+      branch in awaited and (reports? or Client.call(pid, :quiet?) != true)
+    end)
   end
 
   # Handles all events that are already in the mailbox, in one time slice.
@@ -117,7 +126,7 @@ defmodule Situ.Parallel.Component do
   # progress to the surrounding pipeline.
   defp drain_branches(state, pipeline, marks, outputs) do
     cond do
-      state.core.strategy.running_count(state.core.running) == 0 ->
+      Branches.pipelines(state.core) == [] ->
         finish_drain(state, outputs)
 
       result = Branches.await_event(state.core, 1_000) ->
@@ -126,7 +135,7 @@ defmodule Situ.Parallel.Component do
         drain_branches(state, pipeline, marks, [more | outputs])
 
       true ->
-        now = state.core.strategy.progress_marks(state.core.running)
+        now = for {_, pid, _} <- Branches.pipelines(state.core), do: Client.call(pid, :mark)
         if now != marks, do: Client.report_movement(pipeline)
         drain_branches(state, pipeline, now, outputs)
     end
@@ -157,7 +166,9 @@ defmodule Situ.Parallel.Component do
 
   @impl true
   def terminate(_reason, %{core: nil}), do: :ok
-  def terminate(_reason, %{core: core}), do: core.strategy.stop_all(core.running)
+
+  def terminate(_reason, %{core: core}),
+    do: for({_, pid, _} <- Branches.pipelines(core), do: send(pid, :situ_stop))
 
   @impl true
   def snapshot(%{core: core, path: path}), do: Branches.take_snapshot(core, path)
@@ -185,7 +196,9 @@ defmodule Situ.Parallel.Component do
   defp describe_count(:failed), do: "failed and restarted"
 
   @doc "Returns the pipelines of the branches on this node."
-  @spec branch_pipelines(term()) :: [pid()]
+  @spec branch_pipelines(%__MODULE__{}) :: [pid()]
   def branch_pipelines(%__MODULE__{core: nil}), do: []
-  def branch_pipelines(%__MODULE__{core: core}), do: core.strategy.local_pipelines(core.running)
+
+  def branch_pipelines(%__MODULE__{core: core}),
+    do: for({_, pid, _} <- Branches.pipelines(core), node(pid) == node(), do: pid)
 end

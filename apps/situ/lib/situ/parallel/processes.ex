@@ -6,7 +6,6 @@ defmodule Situ.Parallel.Processes do
   # The parts of a batch are collected, and sent in one message for each branch. Parts for a branch that has not opened
   # its input yet are kept until it has.
   @behaviour Situ.Parallel.Strategy
-  alias Situ.Error
   alias Situ.Lifecycle.Errors
   alias Situ.Parallel.BranchPipeline
   alias Situ.Pipeline.Client
@@ -163,40 +162,14 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  # Chains of light operators count, since they report when they are done.
   @impl true
-  def working?(state, ids) do
-    Enum.any?(ids, fn id ->
-      branch = Map.fetch!(state.branches, id)
-      branch.immediate? or Client.call(branch.pid, :quiet?) != true
-    end)
-  end
+  def pipelines(state),
+    do: for({id, branch} <- state.branches, do: {id, branch.pid, branch.immediate?})
+
+  # A checkpoint names the reference as the reason for which it cannot save the operator.
+  @impl true
+  def snapshot_branch(_state, _key, id), do: {:ok, id}
 
   @impl true
-  def running_count(state), do: map_size(state.branches)
-
-  @impl true
-  def progress_marks(state),
-    do: for({id, branch} <- state.branches, do: {id, Client.call(branch.pid, :mark)})
-
-  @impl true
-  def stop_all(state), do: for({_, branch} <- state.branches, do: send(branch.pid, :situ_stop))
-
-  @impl true
-  def local_pipelines(state),
-    do: for({_, %{pid: pid}} <- state.branches, node(pid) == node(), do: pid)
-
-  @impl true
-  def snapshot_branch(state, key, _id), do: no_snapshot(state, key)
-
-  @impl true
-  def restore_branch(state, key, _plain, _id), do: no_snapshot(state, key)
-
-  defp no_snapshot(state, key) do
-    {:error,
-     Error.new(:no_snapshot, "cannot take a snapshot of #{format_path(state, key)}",
-       why: "the branch is a separate pipeline",
-       fix: "run the branches as values"
-     )}
-  end
+  def restore_branch(_state, _key, _plain, id), do: {:ok, id}
 end

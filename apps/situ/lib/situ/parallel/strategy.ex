@@ -70,20 +70,8 @@ defmodule Situ.Parallel.Strategy do
   @doc "Returns the number of undecided outputs from which on the input waits for the branches."
   @callback waiting_limit() :: pos_integer() | :infinity
 
-  @doc "Returns whether any of these branches is working."
-  @callback working?(state(), [branch()]) :: boolean()
-
-  @doc "Returns the number of branches that have not ended."
-  @callback running_count(state()) :: non_neg_integer()
-
-  @doc "Returns a term that changes while any branch makes progress."
-  @callback progress_marks(state()) :: term()
-
-  @doc "Returns the pipelines of the branches on this node."
-  @callback local_pipelines(state()) :: [pid()]
-
-  @doc "Ends all branches without waiting for them."
-  @callback stop_all(state()) :: term()
+  @doc "Returns the pipelines of all branches that have not ended, and whether each reports every part it has handled."
+  @callback pipelines(state()) :: [{branch(), pid(), reports? :: boolean()}]
 
   @doc "Returns a branch as plain data, for a checkpoint."
   @callback snapshot_branch(state(), key(), branch()) :: {:ok, term()} | {:error, Error.t()}

@@ -6,33 +6,23 @@ defmodule Situ.Parallel.Values do
   alias Situ.Branch.Chain
 
   @enforce_keys [:fun, :context, :seed]
-  defstruct [:fun, :context, :seed, :template, started: 0]
-
-  # A process with very many branches must not copy all of them in every garbage collection. From @many branches on, it
-  # does a full sweep only when the old heap is full, and has a young heap large enough for several messages' garbage.
-  @many 1_000
+  defstruct [:fun, :context, :seed, :template]
 
   @impl true
   def new(opts, context),
     do: %__MODULE__{fun: opts.fun, context: context, seed: Branch.build_seed(opts.type)}
 
   @impl true
-  def start_branch(%{started: started} = state, key, _time) do
-    if started == @many, do: make_room()
+  def start_branch(state, key, _time) do
     opts = [seed: state.seed, path: path(state, key), context: state.context]
     {branch, template} = Branch.start_like(bind_key(state.fun, key), state.template, opts)
-    {branch, Branch.has_output?(branch), %{state | template: template, started: started + 1}}
+    {branch, Branch.has_output?(branch), %{state | template: template}}
   end
 
   defp path(state, key), do: {state.context.path, key}
 
   defp bind_key(fun, _key) when is_function(fun, 1), do: fun
   defp bind_key(fun, key), do: &fun.(key, &1)
-
-  defp make_room do
-    Process.flag(:fullsweep_after, 65_535)
-    Process.flag(:min_heap_size, 1_000_000)
-  end
 
   @impl true
   def push_part(state, key, %Chain{} = branch, data, message) do
@@ -68,19 +58,7 @@ defmodule Situ.Parallel.Values do
   def await_event(_state, _timeout), do: nil
 
   @impl true
-  def working?(_state, _branches), do: false
-
-  @impl true
-  def running_count(_state), do: 0
-
-  @impl true
-  def progress_marks(_state), do: nil
-
-  @impl true
-  def local_pipelines(_state), do: []
-
-  @impl true
-  def stop_all(_state), do: :ok
+  def pipelines(_state), do: []
 
   @impl true
   def snapshot_branch(state, key, branch),

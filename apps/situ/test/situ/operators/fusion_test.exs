@@ -172,7 +172,11 @@ defmodule Situ.Operators.FusionTest do
       core =
         Situ.Parallel.Branches.new(
           strategy: Situ.Parallel.Values,
-          running: Situ.Parallel.Values.new(%{fun: &Situ.window(&1, 0..1), type: :any}, %Situ.Component.Context{path: "P"}),
+          running:
+            Situ.Parallel.Values.new(
+              %{fun: &Situ.window(&1, 0..1), type: :any},
+              %Situ.Component.Context{path: "P"}
+            ),
           form: :sparse,
           termination: Situ.Parallel.Termination.parse_rule(:absent),
           missing: :drop,
