@@ -16,13 +16,19 @@ defmodule Situ.Parallel.Gate do
   def init(opts), do: {:ok, %__MODULE__{to: opts[:to], id: opts[:id]}}
 
   @impl true
-  def handle_start(context, gate) do
+  def handle_start(_context, gate) do
     Process.put({__MODULE__, gate.id}, [])
+    send(self(), :situ_open)
+    {[], gate}
+  end
+
+  # Until now, the stage was starting. It has kept its messages aside, so they could not be taken from the mailbox.
+  @impl true
+  def handle_info(:situ_open, context, gate) do
     send(gate.to, {:situ_branch, gate.id, {:open, self(), context.pipeline.pid}})
     {[], gate}
   end
 
-  @impl true
   def handle_info({:situ_feed, entries}, _context, gate),
     do: {[], %{gate | queue: append_entries(gate.queue, collect_pending_entries(entries))}}
 
