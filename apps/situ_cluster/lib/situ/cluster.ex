@@ -183,14 +183,7 @@ defmodule Situ.Cluster do
   end
 
   defp check_member do
-    if Process.whereis(Agent) do
-      :ok
-    else
-      {:error,
-       Error.new(:no_cluster, "this node is not a member of a cluster",
-         fix: "start it with Situ.Cluster.start_link(log: ...)"
-       )}
-    end
+    if Process.whereis(Agent), do: :ok, else: {:error, Member.not_member_error()}
   end
 
   @doc """
@@ -550,23 +543,7 @@ defmodule Situ.Cluster do
     * `on:`, `only:`: as in the rules of `place:` in `deploy/2`; by default, all members
   """
   @spec choose_node(term(), keyword()) :: node()
-  def choose_node(key, rule \\ []) do
-    rule = %{on: List.wrap(rule[:on]), only: rule[:only] || false}
-
-    with :ok <- check_member(),
-         node when node != nil <- Placement.choose_branch_node(Member.list_members(), rule, key) do
-      node
-    else
-      {:error, error} ->
-        raise error
-
-      nil ->
-        raise Error.new(:no_node, "no node may run the branch of #{inspect(key, limit: 5)}",
-                why: "no member matches #{inspect(rule.on)}",
-                fix: "start a member with one of these labels or devices, or omit only:"
-              )
-    end
-  end
+  defdelegate choose_node(key, rule \\ []), to: Member, as: :choose_branch_node!
 
   @doc "Returns how a pipeline would be split: the names of the parts and the streams between them."
   @spec plan(module(), keyword()) ::

@@ -70,9 +70,9 @@ defmodule Situ.Branch.Chain do
   defp last_output(vertices, _inlet), do: {List.last(vertices).id, :out}
 
   @doc "Raises the error of a failed operator in the branch at `path`."
-  @spec raise_failure(t(), Situ.Branch.path(), failure()) :: no_return()
+  @spec raise_failure(t(), String.t(), failure()) :: no_return()
   def raise_failure(%{shape: %{names: names}}, path, {:situ_step, index, kind, reason, stack}) do
-    path = Situ.Branch.format_path(path) <> "." <> Enum.at(names, index)
+    path = path <> "." <> Enum.at(names, index)
     raise Callback.exception_error(path, :in, kind, reason, stack)
   end
 end

@@ -11,7 +11,7 @@ defmodule Situ.Parallel.BranchPipeline do
   # ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
   alias Situ.{Delivery, Error, Operator, Pipeline, Stream}
-  alias Situ.Parallel.{Gate, Relay}
+  alias Situ.Parallel.Gate
   alias Situ.Pipeline.Launcher
 
   @type built :: %{pid: pid(), output?: boolean(), immediate?: boolean()}
@@ -32,15 +32,13 @@ defmodule Situ.Parallel.BranchPipeline do
 
   @doc "Builds and starts the branch of `fun`. Raises any error raised by building the branch."
   @spec start!((Stream.t() -> term()), place()) :: built()
-  def start!(fun, %{node: node} = place) when node != node(), do: Relay.start!(fun, place)
-
   def start!(fun, %{id: id, timing: timing} = place) do
     to = self()
     replay = [interval: replay_interval(timing), speed: if(timing.enforce, do: 1.0, else: :max)]
     settings = [name: place.path, clock: timing.clock, replay: replay]
     settings = if timing.policy, do: [default_policy: timing.policy] ++ settings, else: settings
 
-    case Launcher.start_with_reply(&build(&1, fun, to, place), [pipeline: settings], id) do
+    case Launcher.start_with_reply(&build_branch(&1, fun, to, place), [pipeline: settings], id) do
       {:ok, pid} ->
         receive do
           {:situ_branch, ^id, {:built, built}} -> Map.put(built, :pid, pid)
@@ -55,7 +53,7 @@ defmodule Situ.Parallel.BranchPipeline do
   defp replay_interval(%{start: start, replay_end: time}), do: {start, max(start, time)}
 
   # The scope makes errors and processes inside carry the branch's name.
-  defp build(p, fun, to, %{id: id, path: path, type: type}) do
+  defp build_branch(p, fun, to, %{id: id, path: path, type: type}) do
     p = %{p | scope: path}
     gate = Pipeline.add(p, Gate, to: to, id: id, name: "In", outputs: [out: type])
     result = fun.(Situ.Node.output(gate, :out))

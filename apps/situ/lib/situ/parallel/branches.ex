@@ -22,15 +22,14 @@ defmodule Situ.Parallel.Branches do
     on_failure: :stop,
     branches: %{},
     waiting: %{},
-    ending: %{},
     output?: nil,
     started: 0,
     failed: 0
   ]
 
   @typedoc """
-  `branches` has the branch of each key, `waiting` the undecided times that wait for it, and `ending` the same for
-  branches that have been closed but have not ended. `running` is the state of the strategy.
+  `running` is the state of the strategy, `branches` has the branch of each key, and `waiting` the undecided times that
+  wait for a branch, with its key. Branches that are references keep theirs after they have been closed, until they end.
   """
   @type t :: %__MODULE__{}
   @type outputs :: [Situ.Component.action()]
@@ -71,73 +70,21 @@ defmodule Situ.Parallel.Branches do
 
   @doc "Handles an event of the strategy."
   @spec handle_event(t(), Strategy.event()) :: {outputs(), t()}
-  def handle_event(core, {:outputs, key, branch, outputs, passed_time}) do
-    case core do
-      %{branches: %{^key => ^branch}} ->
-        core |> settle_outputs(key, outputs, passed_time) |> flush_outputs()
-
-      %{ending: %{^branch => {key, times}}} ->
-        {times, pending} =
-          PendingOutputs.settle_times(core.pending, key, times, outputs, passed_time)
-
-        flush_outputs(%{core | pending: pending, ending: %{core.ending | branch => {key, times}}})
-
-      _ ->
-        {[], core}
-    end
-  end
+  def handle_event(core, {:outputs, branch, outputs, passed_time}),
+    do: core |> settle_times(branch, outputs, passed_time) |> flush_outputs()
 
   def handle_event(core, {:ended, key, branch, result}) do
+    core = if match?(%{^key => ^branch}, core.branches), do: delete_branch(core, key), else: core
     core = if result == :ok, do: core, else: %{core | failed: core.failed + 1}
-
-    case core do
-      %{branches: %{^key => ^branch}} ->
-        {times, core} = take_branch(core, key)
-        core |> settle_rest(key, times, []) |> flush_outputs()
-
-      %{ending: %{^branch => {key, times}} = ending} ->
-        core = settle_rest(%{core | ending: Map.delete(ending, branch)}, key, times, [])
-        flush_outputs(core)
-
-      _ ->
-        {[], core}
-    end
+    core |> settle_times(branch, [], :infinity) |> flush_outputs()
   end
 
   def handle_event(core, :other), do: {[], core}
 
-  @doc "Sends all parts that wait to be sent."
-  @spec send_parts(t()) :: t()
-  def send_parts(core), do: %{core | running: core.strategy.send_parts(core.running)}
-
-  @doc "Reads an event from a message, or returns `nil`; see `c:Situ.Parallel.Strategy.read_event/2`."
-  @spec read_event(t(), term()) :: {Strategy.event(), t()} | nil
-  def read_event(core, message),
-    do: put_read(core, core.strategy.read_event(core.running, message))
-
-  @doc "Waits for an event, up to `timeout` ms."
-  @spec await_event(t(), timeout()) :: {Strategy.event(), t()} | nil
-  def await_event(core, timeout),
-    do: put_read(core, core.strategy.await_event(core.running, timeout))
-
-  defp put_read(_core, nil), do: nil
-  defp put_read(core, {event, running}), do: {event, %{core | running: running}}
-
-  @doc "Returns the pipelines of the branches that have not ended; see `c:Situ.Parallel.Strategy.pipelines/1`."
-  @spec pipelines(t()) :: [{Strategy.branch(), pid(), boolean()}]
-  def pipelines(core), do: core.strategy.pipelines(core.running)
-
-  @doc "Returns the branches that the first undecided time is waiting for."
-  @spec awaited_branches(t()) :: MapSet.t(Strategy.branch())
-  def awaited_branches(core) do
-    live = for {key, times} <- core.waiting, do: {Map.fetch!(core.branches, key), times}
-    ending = for {branch, {_key, times}} <- core.ending, do: {branch, times}
-
-    for {branch, times} <- live ++ ending,
-        PendingOutputs.awaited?(core.pending, times),
-        into: MapSet.new(),
-        do: branch
-  end
+  @doc "Returns the branches, or the keys of branches, that the first undecided time is waiting for."
+  @spec awaited_branches(t()) :: [Strategy.branch() | Strategy.key()]
+  def awaited_branches(%{pending: pending} = core),
+    do: for({at, {_key, times}} <- core.waiting, PendingOutputs.awaited?(pending, times), do: at)
 
   # Feeding. The accumulator has the values at this time, the keys that are known to have none because they have emitted
   # a later output, and the branches that have changed.
@@ -198,7 +145,7 @@ defmodule Situ.Parallel.Branches do
     do: {found, %{core | running: running}}
 
   defp add_report({:outputs, outputs, branch}, key, now, {values, late, changed}, core) do
-    core = settle_outputs(core, key, outputs, nil)
+    core = settle_times(core, key, outputs, nil)
     changed = [{key, branch} | changed]
 
     case Enum.drop_while(outputs, fn {time, _} -> time < now end) do
@@ -209,8 +156,8 @@ defmodule Situ.Parallel.Branches do
   end
 
   defp add_report(:failed, key, _now, found, core) do
-    {times, core} = take_branch(%{core | failed: core.failed + 1}, key)
-    {found, settle_rest(core, key, times, [])}
+    core = delete_branch(%{core | failed: core.failed + 1}, key)
+    {found, settle_times(core, key, [], :infinity)}
   end
 
   # Joining. The branches that end with this message are still live branches of it, except that their keys are not in
@@ -273,17 +220,18 @@ defmodule Situ.Parallel.Branches do
   end
 
   defp wait_for(core, key, parts, time) do
-    times =
-      PendingOutputs.append_time(Map.get(core.waiting, key, PendingOutputs.no_times()), time)
+    branch = Map.fetch!(core.branches, key)
+    at = if is_reference(branch), do: branch, else: key
+    {_key, times} = Map.get(core.waiting, at, {key, PendingOutputs.no_times()})
+    waiting = Map.put(core.waiting, at, {key, PendingOutputs.append_time(times, time)})
 
-    core = %{core | waiting: Map.put(core.waiting, key, times)}
-
-    if is_list(parts) or is_map_key(parts, key) do
-      core
-    else
-      branch = Map.fetch!(core.branches, key)
-      %{core | running: core.strategy.pass_time(core.running, branch, time)}
-    end
+    if is_list(parts) or is_map_key(parts, key),
+      do: %{core | waiting: waiting},
+      else: %{
+        core
+        | waiting: waiting,
+          running: core.strategy.pass_time(core.running, branch, time)
+      }
   end
 
   # Ending
@@ -296,15 +244,12 @@ defmodule Situ.Parallel.Branches do
   end
 
   defp end_branch({key, time}, core) do
-    branch = Map.fetch!(core.branches, key)
-    {times, core} = take_branch(core, key)
+    result = close_branch(core, key, Map.fetch!(core.branches, key), time || 0)
+    core = delete_branch(core, key)
 
-    case close_branch(core, key, branch, time || 0) do
-      {:closed, outputs} ->
-        settle_rest(core, key, times, outputs)
-
-      {:later, running} ->
-        %{core | running: running, ending: Map.put(core.ending, branch, {key, times})}
+    case result do
+      {:closed, outputs} -> settle_times(core, key, outputs, :infinity)
+      {:later, running} -> %{core | running: running}
     end
   end
 
@@ -317,29 +262,25 @@ defmodule Situ.Parallel.Branches do
     _error -> {:closed, []}
   end
 
-  # Also returns the times that wait for the branch, since the key may get another one.
-  defp take_branch(core, key) do
-    {times, waiting} = Map.pop(core.waiting, key, PendingOutputs.no_times())
-    {times, %{core | branches: Map.delete(core.branches, key), waiting: waiting}}
-  end
+  defp delete_branch(core, key), do: %{core | branches: Map.delete(core.branches, key)}
 
-  defp settle_outputs(core, key, outputs, passed_time) do
+  # Adds outputs of a branch to the times that wait for it. It has no more outputs up to `passed_time`.
+  defp settle_times(core, at, outputs, passed_time) do
     case core.waiting do
-      %{^key => times} = waiting ->
+      %{^at => {key, times}} = waiting ->
         {times, pending} =
           PendingOutputs.settle_times(core.pending, key, times, outputs, passed_time)
 
-        %{core | pending: pending, waiting: %{waiting | key => times}}
+        waiting =
+          if passed_time == :infinity,
+            do: Map.delete(waiting, at),
+            else: %{waiting | at => {key, times}}
+
+        %{core | pending: pending, waiting: waiting}
 
       _ ->
         core
     end
-  end
-
-  # Settles all times that wait for a branch, with its last outputs.
-  defp settle_rest(core, key, times, outputs) do
-    {_none, pending} = PendingOutputs.settle_times(core.pending, key, times, outputs, :infinity)
-    %{core | pending: pending}
   end
 
   defp flush_outputs(core) do

@@ -35,7 +35,7 @@ defmodule Situ.Parallel.Component do
     core =
       Branches.new(
         strategy: opts.strategy,
-        running: opts.strategy.new(opts, context),
+        running: opts.strategy.build_state(opts, context),
         form: opts.form,
         termination: opts.termination,
         missing: opts.missing,
@@ -59,8 +59,10 @@ defmodule Situ.Parallel.Component do
         Branches.push_message(core, message, parts)
       end)
 
-    hold_or_resume(outputs, %{state | core: Branches.send_parts(core)})
+    hold_or_resume(outputs, %{state | core: send_parts(core)})
   end
+
+  defp send_parts(core), do: %{core | running: core.strategy.send_parts(core.running)}
 
   @impl true
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
@@ -71,8 +73,8 @@ defmodule Situ.Parallel.Component do
       else: {[], %{state | held?: false, limit: state.limit * 2}}
   end
 
-  def handle_info(message, _context, state) do
-    case Branches.read_event(state.core, message) do
+  def handle_info(message, _context, %{core: core} = state) do
+    case core.strategy.read_event(core.running, message) do
       nil ->
         {[], state}
 
@@ -82,31 +84,30 @@ defmodule Situ.Parallel.Component do
     end
   end
 
-  # A branch that reports every part will report those that wait for it.
+  # A branch that reports every part will also report the parts for which the output waits.
   defp working?(core) do
-    awaited = Branches.awaited_branches(core)
+    awaited = MapSet.new(Branches.awaited_branches(core))
 
-    Enum.any?(Branches.pipelines(core), fn {branch, pid, reports?} ->
+    Enum.any?(list_pipelines(core), fn {branch, pid, reports?} ->
       branch in awaited and (reports? or Client.call(pid, :quiet?) != true)
     end)
   end
 
+  defp list_pipelines(core), do: core.strategy.list_pipelines(core.running)
+
   # Handles all events that are already in the mailbox, in one time slice.
-  defp handle_events({event, core}, state, outputs) do
-    {more, state} = handle_event(event, %{state | core: core})
+  defp handle_events({event, running}, state, outputs) do
+    {more, core} = Branches.handle_event(%{state.core | running: running}, event)
+    raise_later(event, state.opts)
     outputs = [more | outputs]
 
-    case Branches.await_event(state.core, 0) do
-      nil -> {outputs |> :lists.reverse() |> :lists.append(), state}
-      result -> handle_events(result, state, outputs)
+    case core.strategy.await_event(core.running, 0) do
+      nil -> {concat_outputs(outputs), %{state | core: core, moved?: true}}
+      result -> handle_events(result, %{state | core: core}, outputs)
     end
   end
 
-  defp handle_event(event, state) do
-    {outputs, core} = Branches.handle_event(state.core, event)
-    raise_later(event, state.opts)
-    {outputs, %{state | core: core, moved?: true}}
-  end
+  defp concat_outputs(outputs), do: outputs |> :lists.reverse() |> :lists.append()
 
   # The error is raised with the next message, so that the state without the branch is kept for any `on_error:`.
   defp raise_later({:ended, _key, _branch, {:error, error}}, %{on_branch_error: :stop}),
@@ -118,34 +119,35 @@ defmodule Situ.Parallel.Component do
   @impl true
   def handle_closed(_input, time, context, state) do
     {outputs, core} = Branches.close_input(state.core, time)
-    state = %{state | core: Branches.send_parts(core)}
+    state = %{state | core: send_parts(core)}
     drain_branches(state, context.pipeline, nil, [outputs])
   end
 
   # Waits until every branch has ended, however long the branches take for their remaining messages. It keeps reporting
   # progress to the surrounding pipeline.
-  defp drain_branches(state, pipeline, marks, outputs) do
+  defp drain_branches(%{core: core} = state, pipeline, marks, outputs) do
     cond do
-      Branches.pipelines(state.core) == [] ->
-        finish_drain(state, outputs)
+      list_pipelines(core) == [] ->
+        raise_failure()
+        {concat_outputs(outputs), state}
 
-      result = Branches.await_event(state.core, 1_000) ->
+      result = core.strategy.await_event(core.running, 1_000) ->
         {more, state} = handle_events(result, state, [])
         Client.report_movement(pipeline)
         drain_branches(state, pipeline, marks, [more | outputs])
 
       true ->
-        now = for {_, pid, _} <- Branches.pipelines(state.core), do: Client.call(pid, :mark)
+        now = for {_, pid, _} <- list_pipelines(core), do: Client.call(pid, :mark)
         if now != marks, do: Client.report_movement(pipeline)
         drain_branches(state, pipeline, now, outputs)
     end
   end
 
-  defp finish_drain(state, outputs) do
+  defp raise_failure do
     receive do
       {:situ_branch_failed, error} -> raise error
     after
-      0 -> {outputs |> :lists.reverse() |> :lists.append(), state}
+      0 -> :ok
     end
   end
 
@@ -168,7 +170,7 @@ defmodule Situ.Parallel.Component do
   def terminate(_reason, %{core: nil}), do: :ok
 
   def terminate(_reason, %{core: core}),
-    do: for({_, pid, _} <- Branches.pipelines(core), do: send(pid, :situ_stop))
+    do: for({_, pid, _} <- list_pipelines(core), do: send(pid, :situ_stop))
 
   @impl true
   def snapshot(%{core: core, path: path}), do: Branches.take_snapshot(core, path)
@@ -182,23 +184,24 @@ defmodule Situ.Parallel.Component do
   @impl true
   def describe(%{core: nil}), do: "not started"
 
-  def describe(%{core: core}) do
-    live = "#{map_size(core.branches)} branches live"
+  def describe(%{core: %{branches: branches} = core}) do
     kind = if core.strategy == Situ.Parallel.Values, do: "", else: ", each its own pipeline"
-    counts = [ending: map_size(core.ending), failed: core.failed]
-    more = for {what, n} when n > 0 <- counts, do: ", #{n} #{describe_count(what)}"
+    ending = max(length(list_pipelines(core)) - map_size(branches), 0)
     waiting = PendingOutputs.waiting_count(core.pending)
-    waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
-    "#{live}#{kind}, #{core.started} started#{more}#{waits}"
+
+    "#{map_size(branches)} branches live#{kind}, #{core.started} started" <>
+      describe_count(ending, "ending") <>
+      describe_count(core.failed, "failed and restarted") <>
+      describe_count(waiting, "messages wait")
   end
 
-  defp describe_count(:ending), do: "ending"
-  defp describe_count(:failed), do: "failed and restarted"
+  defp describe_count(0, _what), do: ""
+  defp describe_count(n, what), do: ", #{n} #{what}"
 
   @doc "Returns the pipelines of the branches on this node."
   @spec branch_pipelines(%__MODULE__{}) :: [pid()]
   def branch_pipelines(%__MODULE__{core: nil}), do: []
 
   def branch_pipelines(%__MODULE__{core: core}),
-    do: for({_, pid, _} <- Branches.pipelines(core), node(pid) == node(), do: pid)
+    do: for({_, pid, _} <- list_pipelines(core), node(pid) == node(), do: pid)
 end

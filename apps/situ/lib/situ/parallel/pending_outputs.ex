@@ -67,25 +67,27 @@ defmodule Situ.Parallel.PendingOutputs do
         ) ::
           {times(), t()}
   def settle_times(pending, key, {front, []}, outputs, passed_time),
-    do: settle(outputs, passed_time, front, key, pending)
+    do: settle_outputs(outputs, passed_time, front, key, pending)
 
   def settle_times(pending, key, {front, rear}, outputs, passed_time),
-    do: settle(outputs, passed_time, front ++ :lists.reverse(rear), key, pending)
+    do: settle_outputs(outputs, passed_time, front ++ :lists.reverse(rear), key, pending)
 
-  defp settle([{time, value} | outputs], passed, [time | times], key, pending),
-    do: settle(outputs, passed, times, key, put_value(pending, time, key, value))
+  defp settle_outputs([{time, value} | outputs], passed, [time | times], key, pending),
+    do: settle_outputs(outputs, passed, times, key, put_value(pending, time, key, value))
 
-  defp settle([{at, _} | _] = outputs, passed, [time | times], key, pending) when time < at,
-    do: settle(outputs, passed, times, key, mark_missing(pending, time))
+  defp settle_outputs([{at, _} | _] = outputs, passed, [time | times], key, pending)
+       when time < at,
+       do: settle_outputs(outputs, passed, times, key, mark_missing(pending, time))
 
-  defp settle([_unneeded | outputs], passed, times, key, pending),
-    do: settle(outputs, passed, times, key, pending)
+  defp settle_outputs([_unneeded | outputs], passed, times, key, pending),
+    do: settle_outputs(outputs, passed, times, key, pending)
 
   # An atom is greater than any time.
-  defp settle([], passed, [time | times], key, pending) when passed != nil and time <= passed,
-    do: settle([], passed, times, key, mark_missing(pending, time))
+  defp settle_outputs([], passed, [time | times], key, pending)
+       when passed != nil and time <= passed,
+       do: settle_outputs([], passed, times, key, mark_missing(pending, time))
 
-  defp settle([], _passed, times, _key, pending), do: {{times, []}, pending}
+  defp settle_outputs([], _passed, times, _key, pending), do: {{times, []}, pending}
 
   @doc "Takes the decided outputs, up to the first undecided time."
   @spec take_decided(t()) :: {[Situ.Component.action()], t()}
@@ -93,7 +95,8 @@ defmodule Situ.Parallel.PendingOutputs do
 
   defp take_decided(pending, outputs) do
     with {:value, time} <- :queue.peek(pending.order),
-         {{live, values, 0}, waiting} <- Map.pop!(pending.waiting, time) do
+         {live, values, 0} <- Map.fetch!(pending.waiting, time) do
+      waiting = Map.delete(pending.waiting, time)
       pending = %{pending | order: :queue.drop(pending.order), waiting: waiting}
       take_decided(pending, build_output(pending, time, live, values) ++ outputs)
     else

@@ -7,7 +7,7 @@ defmodule Situ.Parallel.Processes do
   # its input yet are kept until it has.
   @behaviour Situ.Parallel.Strategy
   alias Situ.Lifecycle.Errors
-  alias Situ.Parallel.BranchPipeline
+  alias Situ.Parallel.{BranchPipeline, Relay}
   alias Situ.Pipeline.Client
 
   @enforce_keys [:opts, :path, :timing]
@@ -27,7 +27,7 @@ defmodule Situ.Parallel.Processes do
   @type t :: %__MODULE__{branches: %{reference() => branch()}}
 
   @impl true
-  def new(opts, context) do
+  def build_state(opts, context) do
     timing = Map.put(Client.call!(context.pipeline, :timing), :policy, opts[:branch_policy])
     %__MODULE__{opts: opts, path: context.path, timing: timing}
   end
@@ -39,12 +39,17 @@ defmodule Situ.Parallel.Processes do
     node = if opts[:choose_node], do: opts.choose_node.(key), else: node()
     timing = Map.put(state.timing, :start, time)
     place = %{id: id, node: node, path: format_path(state, key), type: opts.type, timing: timing}
-    built = BranchPipeline.start!(fun, place)
+    built = start_pipeline(fun, place)
     # The messages of a lost branch are known by the tag, without a search for the monitor.
     :erlang.monitor(:process, built.pid, tag: {:situ_branch_down, id})
     branch = Map.merge(built, %{key: key, gate: nil, early: [], last_time: nil, stop: nil})
     {id, built.output?, put_branch(state, id, branch)}
   end
+
+  defp start_pipeline(fun, %{node: node} = place) when node == node(),
+    do: BranchPipeline.start!(fun, place)
+
+  defp start_pipeline(fun, place), do: Relay.start!(fun, place)
 
   defp format_path(state, key), do: Situ.Branch.format_path({state.path, key})
   defp put_branch(state, id, branch), do: %{state | branches: Map.put(state.branches, id, branch)}
@@ -81,16 +86,16 @@ defmodule Situ.Parallel.Processes do
     Enum.reduce(closing, state, &request_stop/2)
   end
 
-  # Entries are newest first.
-  defp send_entries({id, [newest | _] = entries}, state) do
+  # Entries are newest first. Only a function may name an earlier end than the last part of a branch.
+  defp send_entries({id, [newest | _] = entries}, %{opts: opts} = state) do
     branch = Map.fetch!(state.branches, id)
-    branch = %{branch | last_time: entry_time(newest)}
+    if branch.gate, do: send(branch.gate, {:situ_feed, :lists.reverse(entries)})
 
-    if branch.gate do
-      send(branch.gate, {:situ_feed, :lists.reverse(entries)})
-      put_branch(state, id, branch)
+    if branch.gate && not is_function(opts.termination.rule) do
+      state
     else
-      put_branch(state, id, %{branch | early: entries ++ branch.early})
+      early = if branch.gate, do: [], else: entries ++ branch.early
+      put_branch(state, id, %{branch | early: early, last_time: entry_time(newest)})
     end
   end
 
@@ -129,7 +134,7 @@ defmodule Situ.Parallel.Processes do
     case {content, branches} do
       {{:outputs, outputs, passed_time}, %{^id => branch}} ->
         passed_time = if branch.immediate?, do: passed_time
-        {{:outputs, branch.key, id, outputs, passed_time}, state}
+        {{:outputs, id, outputs, passed_time}, state}
 
       {{:open, gate, _pipeline}, %{^id => branch}} ->
         if branch.early != [], do: send(gate, {:situ_feed, :lists.reverse(branch.early)})
@@ -163,7 +168,7 @@ defmodule Situ.Parallel.Processes do
   end
 
   @impl true
-  def pipelines(state),
+  def list_pipelines(state),
     do: for({id, branch} <- state.branches, do: {id, branch.pid, branch.immediate?})
 
   # A checkpoint names the reference as the reason for which it cannot save the operator.

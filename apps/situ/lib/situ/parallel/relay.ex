@@ -13,7 +13,7 @@ defmodule Situ.Parallel.Relay do
   @spec start!((Situ.Stream.t() -> term()), BranchPipeline.place()) :: BranchPipeline.built()
   def start!(fun, %{id: id, node: node, timing: timing} = place) do
     place = %{place | timing: Map.update!(timing, :clock, &describe_clock/1)}
-    {pid, monitor} = Node.spawn_monitor(node, __MODULE__, :run, [self(), fun, place])
+    {pid, monitor} = Node.spawn_monitor(node, __MODULE__, :run_branch, [self(), fun, place])
 
     receive do
       {:situ_branch, ^id, {:built, built}} ->
@@ -40,7 +40,7 @@ defmodule Situ.Parallel.Relay do
   defp describe_clock(clock), do: Clock.now(clock)
 
   @doc false
-  def run(owner, fun, %{id: id, timing: timing} = place) do
+  def run_branch(owner, fun, %{id: id, timing: timing} = place) do
     Process.monitor(owner)
     clock = if timing.clock == :real, do: Clock.real(), else: Clock.virtual(timing.clock)
     place = %{place | node: node(), timing: %{timing | clock: clock}}

@@ -7,7 +7,7 @@ defmodule Situ.Parallel.Strategy do
 
   @typedoc "The state of the strategy, shared by all branches."
   @type state :: term()
-  @typedoc "A branch, as the strategy represents it."
+  @typedoc "A branch, as the strategy represents it: a value, or a reference if its outputs arrive as events."
   @type branch :: term()
   @type key :: term()
   @type outputs :: [{Time.t(), term()}]
@@ -32,12 +32,12 @@ defmodule Situ.Parallel.Strategy do
   after which no more outputs follow; or neither.
   """
   @type event ::
-          {:outputs, key(), branch(), outputs(), Time.t() | nil}
+          {:outputs, branch(), outputs(), Time.t() | nil}
           | {:ended, key(), branch(), :ok | {:error, Error.t()}}
           | :other
 
   @doc "Builds the state from the options of the operator and the context of its component."
-  @callback new(map(), Situ.Component.Context.t()) :: state()
+  @callback build_state(map(), Situ.Component.Context.t()) :: state()
 
   @doc "Starts the branch of `key`. Returns whether it has an output. Raises any error raised by building it."
   @callback start_branch(state(), key(), Time.t() | nil) ::
@@ -71,7 +71,7 @@ defmodule Situ.Parallel.Strategy do
   @callback waiting_limit() :: pos_integer() | :infinity
 
   @doc "Returns the pipelines of all branches that have not ended, and whether each reports every part it has handled."
-  @callback pipelines(state()) :: [{branch(), pid(), reports? :: boolean()}]
+  @callback list_pipelines(state()) :: [{branch(), pid(), reports? :: boolean()}]
 
   @doc "Returns a branch as plain data, for a checkpoint."
   @callback snapshot_branch(state(), key(), branch()) :: {:ok, term()} | {:error, Error.t()}

@@ -9,17 +9,17 @@ defmodule Situ.Parallel.Values do
   defstruct [:fun, :context, :seed, :template]
 
   @impl true
-  def new(opts, context),
+  def build_state(opts, context),
     do: %__MODULE__{fun: opts.fun, context: context, seed: Branch.build_seed(opts.type)}
 
   @impl true
   def start_branch(state, key, _time) do
-    opts = [seed: state.seed, path: path(state, key), context: state.context]
+    opts = [seed: state.seed, path: branch_path(state, key), context: state.context]
     {branch, template} = Branch.start_like(bind_key(state.fun, key), state.template, opts)
     {branch, Branch.has_output?(branch), %{state | template: template}}
   end
 
-  defp path(state, key), do: {state.context.path, key}
+  defp branch_path(state, key), do: {state.context.path, key}
 
   defp bind_key(fun, _key) when is_function(fun, 1), do: fun
   defp bind_key(fun, key), do: &fun.(key, &1)
@@ -28,7 +28,8 @@ defmodule Situ.Parallel.Values do
   def push_part(state, key, %Chain{} = branch, data, message) do
     Chain.push_data(branch, data, message)
   catch
-    {:situ_step, _, _, _, _} = failure -> Chain.raise_failure(branch, path(state, key), failure)
+    {:situ_step, _, _, _, _} = failure ->
+      Chain.raise_failure(branch, Branch.format_path(branch_path(state, key)), failure)
   end
 
   def push_part(_state, _key, branch, data, message) do
@@ -58,13 +59,13 @@ defmodule Situ.Parallel.Values do
   def await_event(_state, _timeout), do: nil
 
   @impl true
-  def pipelines(_state), do: []
+  def list_pipelines(_state), do: []
 
   @impl true
   def snapshot_branch(state, key, branch),
-    do: Branch.take_snapshot(branch, Branch.format_path(path(state, key)))
+    do: Branch.take_snapshot(branch, Branch.format_path(branch_path(state, key)))
 
   @impl true
   def restore_branch(state, key, plain, branch),
-    do: Branch.restore_snapshot(branch, plain, Branch.format_path(path(state, key)))
+    do: Branch.restore_snapshot(branch, plain, Branch.format_path(branch_path(state, key)))
 end

@@ -173,7 +173,7 @@ defmodule Situ.Operators.FusionTest do
         Situ.Parallel.Branches.new(
           strategy: Situ.Parallel.Values,
           running:
-            Situ.Parallel.Values.new(
+            Situ.Parallel.Values.build_state(
               %{fun: &Situ.window(&1, 0..1), type: :any},
               %Situ.Component.Context{path: "P"}
             ),

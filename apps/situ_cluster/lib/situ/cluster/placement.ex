@@ -47,8 +47,8 @@ defmodule Situ.Cluster.Placement do
   def best_nodes(members, %{on: [first | _]}), do: matching_nodes(members, first, true)
 
   @doc """
-  Returns the node for the branch of `key`: one of the nodes that the rule prefers, or of all members if there are none
-  and the rule is not `only`. Keys are spread evenly, and only the keys of a lost node move to other nodes.
+  Returns the node for the branch of `key`, from the nodes that the rule prefers, or from all members if it matches
+  none and is not `only`. Keys are spread evenly, and only the keys of a lost node move to other nodes.
   """
   @spec choose_branch_node(members(), map(), term()) :: node() | nil
   def choose_branch_node(members, rule, key) do
