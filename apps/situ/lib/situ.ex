@@ -900,9 +900,9 @@ defmodule Situ do
   Results that a branch emits while it ends (`last/2` ...) still count. Its state is released, and the same key
   later starts a new branch.
 
-  ## Values or processes
+  ## Values, processes or nodes
 
-  By default a branch is a value inside the operator's process. A hundred thousand of them are no problem, but they
+  By default a branch is a value inside the operator's process. A process can hold a hundred thousand of them, but they
   share one core, and may not contain sources, `timer/2`, `delay/3`, or components with timers or processes
   (`Situ.Error` `:not_in_branch`). With `branches: :processes`, each branch is a separate pipeline, started at the time
   of its first part. It may contain any component, such as sources, timers, delays, and components that are slow or do
@@ -910,6 +910,11 @@ defmodule Situ do
   tens to thousands of branches.
 
       Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end, branches: :processes)
+
+  With `branches: {:nodes, fun}`, each branch is a pipeline on the connected node that `fun.(key)` returns. That node
+  builds the branch, so it needs the same code. `Situ.Cluster.choose_node/2` chooses among the members of a cluster. A
+  branch on another node has that node's wall clock, or a clock that starts at the time of its first part, and follows
+  neither a pause nor a change of speed. If its node is lost, the messages in flight are lost with it.
 
   The output of a time waits until each branch has emitted a result for it or for a later time, or has ended. A branch
   that is a linear chain of light operators is known to have no result as soon as it has handled the part. When about
@@ -920,7 +925,9 @@ defmodule Situ do
 
   A branch that fails, or is killed, fails the operator like any other error, with a name such as `Parallel[key].Step`,
   and `on_error:` decides. With `on_branch_error: :restart`, only that branch is restarted with its next part, and
-  messages in flight in it count as missing.
+  messages in flight in it count as missing. A branch fails, too, when its node is lost.
+
+  A checkpoint contains the branches that are values. An operator whose branches are pipelines cannot be saved.
 
   ## Options
 

@@ -1,7 +1,7 @@
 defmodule Situ.Parallel do
   @moduledoc false
   # Sends the parts of each message through separate branches, and recombines the results. `Situ.parallel/3` documents
-  # the operator. Branches are values (`Situ.Branch`) or pipelines.
+  # the operator, `Situ.Parallel.Component` runs it.
 
   @schema [
     size: [type: :pos_integer, doc: "Number of branches, for the fixed form."],
@@ -29,7 +29,12 @@ defmodule Situ.Parallel do
       default: :stop,
       doc: "Whether a branch that fails stops the operator, or restarts alone."
     ],
-    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "How branches run."],
+    branches: [
+      type: {:or, [{:in, [:values, :processes]}, {:tuple, [{:in, [:nodes]}, {:fun, 1}]}]},
+      default: :values,
+      doc:
+        "How branches run: `:values`, `:processes`, or `{:nodes, fun}`, where `fun.(key)` returns the branch's node."
+    ],
     branch_policy: [
       type: {:struct, Situ.Delivery},
       doc:
@@ -37,11 +42,11 @@ defmodule Situ.Parallel do
     ]
   ]
 
-  alias Situ.Parallel.{Values, Processes, Termination}
   alias Situ.Graph.Placement
   alias Situ.{Argument, Operator, Stream}
+  alias Situ.Parallel.{Component, Processes, Termination, Values}
 
-  @no_queues "branch_policy: needs branches: :processes (branches that run as values have no queues)"
+  @no_queues "branch_policy: needs branches: :processes or {:nodes, fun} (branches that are values have no queues)"
 
   @spec option_schema() :: Situ.Options.schema()
   def option_schema, do: @schema
@@ -51,25 +56,35 @@ defmodule Situ.Parallel do
     {own, placement} = Placement.split_options!(opts, @schema, :operator)
     form = choose_form(stream.type, fun, own)
 
-    options = [
-      fun: fun,
-      form: form,
-      type: part_type(stream.type, own),
-      missing: parse_missing(own)
-    ]
-
-    shared = Keyword.take(own, [:split, :with, :on_branch_error])
-    processes? = own[:branches] == :processes
-    if own[:branch_policy] && not processes?, do: raise(ArgumentError, @no_queues)
-    shared = if processes?, do: Keyword.take(own, [:branch_policy]) ++ shared, else: shared
-    options = options ++ shared ++ [termination: Termination.parse_rule(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
-    box = if processes?, do: Processes, else: Values
-    Operator.attach_component(stream, "Parallel", {box, options}, placement, type)
+
+    options =
+      [
+        fun: fun,
+        form: form,
+        type: part_type(stream.type, own),
+        missing: parse_missing(own),
+        termination: Termination.parse_rule(own[:until])
+      ] ++ strategy_options(own) ++ Keyword.take(own, [:split, :with, :on_branch_error])
+
+    Operator.attach_component(stream, "Parallel", {Component, options}, placement, type)
   end
 
   def parallel(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :stream, "Situ.parallel(stream, fn stream -> stream end)")
+
+  defp strategy_options(own) do
+    case own[:branches] do
+      :values ->
+        if own[:branch_policy], do: raise(ArgumentError, @no_queues), else: [strategy: Values]
+
+      :processes ->
+        [strategy: Processes] ++ Keyword.take(own, [:branch_policy])
+
+      {:nodes, choose_node} ->
+        [choose_node: choose_node] ++ strategy_options([branches: :processes] ++ own)
+    end
+  end
 
   defp choose_form(type, fun, own) do
     cond do

@@ -89,6 +89,7 @@ defmodule Situ.Cluster do
     StreamEntry,
     Deployment,
     LogLines,
+    Member,
     Overview
   }
 
@@ -182,14 +183,7 @@ defmodule Situ.Cluster do
   end
 
   defp check_member do
-    if Process.whereis(Agent) do
-      :ok
-    else
-      {:error,
-       Error.new(:no_cluster, "this node is not a member of a cluster",
-         fix: "start it with Situ.Cluster.start_link(log: ...)"
-       )}
-    end
+    if Process.whereis(Agent), do: :ok, else: {:error, Member.not_member_error()}
   end
 
   @doc """
@@ -534,6 +528,22 @@ defmodule Situ.Cluster do
 
     Map.merge(Map.new(nodes, &{&1, %{}}), Map.new(answers))
   end
+
+  @doc """
+  Returns the node for the branch of `key`, for `Situ.parallel/3`:
+
+      Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end,
+        branches: {:nodes, &Situ.Cluster.choose_node(&1, on: "gpu")}
+      )
+
+  Keys are spread evenly over the nodes that the rule prefers. When a node is lost, its branches fail, and with
+  `on_branch_error: :restart` start again on other nodes. Raises `Situ.Error` `:no_node` if the rule is `only:` and
+  excludes all members.
+
+    * `on:`, `only:`: as in the rules of `place:` in `deploy/2`; by default, all members
+  """
+  @spec choose_node(term(), keyword()) :: node()
+  defdelegate choose_node(key, rule \\ []), to: Member, as: :choose_branch_node!
 
   @doc "Returns how a pipeline would be split: the names of the parts and the streams between them."
   @spec plan(module(), keyword()) ::

@@ -1,62 +1,56 @@
 defmodule Situ.Branch.Chain do
   @moduledoc false
-  # A branch that is a linear chain of light operators, so that only data is passed along.
+  # A branch that is a linear chain of light operators, so that only data is passed along. Its `shape`, the part that
+  # never changes, is shared by all branches that were built alike.
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
   require Chain
 
-  @enforce_keys [:chain, :fast, :paths, :result]
-  defstruct [:chain, :fast, :paths, :result]
+  @enforce_keys [:steps, :shape]
+  defstruct [:steps, :shape]
 
-  @type t :: %__MODULE__{}
+  @type t :: %__MODULE__{
+          steps: Chain.steps(),
+          shape: %{fast: boolean(), names: [String.t()], output?: boolean()}
+        }
+  @typep failure ::
+           {:situ_step, index :: non_neg_integer(), kind :: atom(), reason :: term(), list()}
 
   @doc "Builds the chain from the inlet to the result. Returns `:error` if the graph has any other shape."
-  @spec from_graph(Situ.Graph.t(), pos_integer(), {pos_integer(), atom()} | nil, term()) ::
+  @spec from_graph(Situ.Graph.t(), pos_integer(), {pos_integer(), atom()} | nil) ::
           {:ok, t()} | :error
-  def from_graph(graph, inlet, result, path) do
+  def from_graph(graph, inlet, result) do
     next = Enum.group_by(graph.edges, fn {_, e} -> e.from end, fn {_, e} -> elem(e.to, 0) end)
 
     with {:ok, vertices} <- follow_operators({inlet, :out}, next, graph.vertices, []),
          true <- length(vertices) == map_size(graph.vertices) - 1,
          true <- result == nil or result == last_output(vertices, inlet) do
-      chain = Chain.build_steps(Enum.map(vertices, & &1.opts))
-      paths = {path, Enum.map(vertices, & &1.path)}
-
-      {:ok,
-       %__MODULE__{chain: chain, fast: not Chain.stateful?(chain), paths: paths, result: result}}
+      steps = Chain.build_steps(Enum.map(vertices, & &1.opts))
+      names = Enum.map(vertices, & &1.path)
+      shape = %{fast: not Chain.stateful?(steps), names: names, output?: result != nil}
+      {:ok, %__MODULE__{steps: steps, shape: shape}}
     else
       _ -> :error
     end
   end
 
-  @spec push(t(), Situ.Message.t()) :: {Situ.Branch.outputs(), t()}
-  def push(branch, message) do
-    case push_data(branch, message.data, message) do
-      {:skip, branch} -> {[], branch}
-      {:value, data, branch} -> {[{message.originating_time, data}], branch}
+  @doc """
+  Runs the chain on the data. Returns the branch if it has state. Throws `t:failure/0` if an operator raises.
+  """
+  @spec push_data(t(), term(), Situ.Message.t()) ::
+          {:value, term()} | :skip | {:value, term(), t()} | {:skip, t()}
+  def push_data(%{shape: %{fast: true}, steps: steps}, data, message) do
+    case Chain.run_stateless(steps, data, message) do
+      Chain.skip() -> :skip
+      data -> {:value, data}
     end
   end
 
-  @doc "Runs the chain on the data alone. Returns `{:value, data, branch}` or `{:skip, branch}`."
-  @spec push_data(t(), term(), Situ.Message.t()) :: {:value, term(), t()} | {:skip, t()}
-  def push_data(%{fast: true, chain: chain} = branch, data, message) do
-    case Chain.run_stateless(chain, data, message) do
-      Chain.skip() -> {:skip, branch}
-      data -> {:value, data, branch}
+  def push_data(%{steps: steps, shape: shape}, data, message) do
+    case Chain.run_stateful(steps, data, message) do
+      {Chain.skip(), steps} -> {:skip, %__MODULE__{steps: steps, shape: shape}}
+      {data, steps} -> {:value, data, %__MODULE__{steps: steps, shape: shape}}
     end
-  catch
-    {:situ_step, index, kind, reason, stack} ->
-      raise_step_failure(branch, index, kind, reason, stack)
-  end
-
-  def push_data(%{chain: chain} = branch, data, message) do
-    case Chain.run_stateful(chain, data, message) do
-      {Chain.skip(), chain} -> {:skip, %{branch | chain: chain}}
-      {data, chain} -> {:value, data, %{branch | chain: chain}}
-    end
-  catch
-    {:situ_step, index, kind, reason, stack} ->
-      raise_step_failure(branch, index, kind, reason, stack)
   end
 
   defp follow_operators(from, next, vertices, found) do
@@ -75,8 +69,10 @@ defmodule Situ.Branch.Chain do
   defp last_output([], inlet), do: {inlet, :out}
   defp last_output(vertices, _inlet), do: {List.last(vertices).id, :out}
 
-  defp raise_step_failure(%{paths: {path, steps}}, index, kind, reason, stack) do
-    path = Situ.Branch.Path.to_string(path) <> "." <> Enum.at(steps, index)
+  @doc "Raises the error of a failed operator in the branch at `path`."
+  @spec raise_failure(t(), String.t(), failure()) :: no_return()
+  def raise_failure(%{shape: %{names: names}}, path, {:situ_step, index, kind, reason, stack}) do
+    path = path <> "." <> Enum.at(names, index)
     raise Callback.exception_error(path, :in, kind, reason, stack)
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Branch.Network do
   @moduledoc false
   # A branch of any shape. The outputs of each component pass through the whole graph before the next message.
   alias Situ.{Error, Message}
-  alias Situ.Component.Callback
+  alias Situ.Component.{Callback, Snapshot}
   alias Situ.Operator.Chain
   require Chain
 
@@ -39,6 +39,39 @@ defmodule Situ.Branch.Network do
 
     outputs
   end
+
+  @doc "Returns the states of the components and operators as plain data."
+  @spec take_snapshot(t()) :: {:ok, map()} | {:error, Error.t()}
+  def take_snapshot(network),
+    do: Snapshot.map_states(network.nodes, fn _id, node -> snapshot_node(node) end)
+
+  defp snapshot_node(%{chain: chain} = node), do: Snapshot.to_plain_data(chain, node.path)
+
+  defp snapshot_node(%{core: core} = node) do
+    with {:ok, plain} <- Snapshot.take_snapshot(node.module, core, node.path),
+         do: {:ok, {plain, node.open}}
+  end
+
+  defp snapshot_node(_input), do: {:ok, nil}
+
+  @doc "Restores the states into a network that has just started."
+  @spec restore_snapshot(t(), map()) :: {:ok, t()} | {:error, Error.t()}
+  def restore_snapshot(network, plain) do
+    with {:ok, nodes} <- Snapshot.map_states(network.nodes, &restore_node(&2, plain[&1])),
+         do: {:ok, %{network | nodes: nodes}}
+  end
+
+  defp restore_node(%{chain: chain} = node, plain) do
+    with {:ok, chain} <- Snapshot.fill_functions(plain, chain, node.path),
+         do: {:ok, %{node | chain: chain}}
+  end
+
+  defp restore_node(%{core: core} = node, {plain, open}) do
+    with {:ok, core} <- Snapshot.restore_state(node.module, plain, core, node.path),
+         do: {:ok, %{node | core: core, open: open}}
+  end
+
+  defp restore_node(input, _plain), do: {:ok, input}
 
   defp take_outputs(%{out: out} = network), do: {:lists.reverse(out), %{network | out: []}}
 

@@ -44,6 +44,18 @@ defmodule Situ.Component.Snapshot do
        )}
   end
 
+  @doc "Maps each value of `states` with `fun`, which takes its key, too, and may return an error."
+  @spec map_states(map(), (term(), term() -> {:ok, term()} | {:error, Error.t()})) ::
+          {:ok, map()} | {:error, Error.t()}
+  def map_states(states, fun) do
+    Enum.reduce_while(states, {:ok, %{}}, fn {key, state}, {:ok, done} ->
+      case fun.(key, state) do
+        {:ok, result} -> {:cont, {:ok, Map.put(done, key, result)}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
   @doc "Restores the snapshot into `fresh`, the state of a component that has just started."
   @spec restore_state(module(), t(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def restore_state(_module, {:plain, plain}, fresh, path), do: fill_functions(plain, fresh, path)

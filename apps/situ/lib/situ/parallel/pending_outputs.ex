@@ -1,7 +1,7 @@
 defmodule Situ.Parallel.PendingOutputs do
   @moduledoc false
   # The times whose outputs are undecided, in order, with the live branches at each time, their values, and the number
-  # of branches that may still add a value.
+  # of branches that may still add a value. Outputs are emitted in order of time.
 
   @enforce_keys [:missing, :creator]
   defstruct [:missing, :creator, waiting: %{}, order: :queue.new()]
@@ -16,63 +16,103 @@ defmodule Situ.Parallel.PendingOutputs do
 
   @doc "Returns the number of waiting times."
   @spec waiting_count(t()) :: non_neg_integer()
-  def waiting_count(entries), do: map_size(entries.waiting)
+  def waiting_count(pending), do: map_size(pending.waiting)
 
-  @doc "Returns the first waiting time."
-  @spec first_time(t()) :: {:value, Situ.Time.t()} | :empty
-  def first_time(entries), do: :queue.peek(entries.order)
+  @doc "Returns whether the first undecided output waits for the branch that these times wait for."
+  @spec awaited?(t(), times()) :: boolean()
+  def awaited?(pending, {front, rear}) do
+    case {:queue.peek(pending.order), front} do
+      {:empty, _} -> false
+      {{:value, time}, []} -> rear != [] and List.last(rear) == time
+      {{:value, time}, [first | _]} -> time == first
+    end
+  end
 
   @doc "Adds a time at which `open` branches are undecided."
   @spec add_time(t(), Situ.Time.t(), live(), map(), non_neg_integer()) :: t()
-  def add_time(entries, time, live, values, open) do
-    entry = %{live: live, values: values, open: open}
-    waiting = Map.put(entries.waiting, time, entry)
-    %{entries | waiting: waiting, order: :queue.in(time, entries.order)}
+  def add_time(pending, time, live, values, open) do
+    waiting = Map.put(pending.waiting, time, {live, values, open})
+    %{pending | waiting: waiting, order: :queue.in(time, pending.order)}
   end
 
-  @doc "Adds the value of a branch at a time that is waiting for it."
-  @spec put_value(t(), Situ.Time.t(), term(), term()) :: t()
-  def put_value(%{waiting: waiting} = entries, time, key, value) do
-    %{^time => %{values: values, open: open} = entry} = waiting
-    entry = %{entry | values: Map.put(values, key, value), open: open - 1}
-    %{entries | waiting: %{waiting | time => entry}}
+  defp put_value(%{waiting: waiting} = pending, time, key, value) do
+    %{^time => {live, values, open}} = waiting
+    %{pending | waiting: %{waiting | time => {live, Map.put(values, key, value), open - 1}}}
   end
 
-  @doc "Records that a branch has no value at these times, which are waiting for it."
-  @spec mark_missing(t(), [Situ.Time.t()]) :: t()
-  def mark_missing(entries, times) do
-    Enum.reduce(times, entries, fn time, entries ->
-      update_entry(entries, time, &%{&1 | open: &1.open - 1})
-    end)
+  defp mark_missing(%{waiting: waiting} = pending, time) do
+    %{^time => {live, values, open}} = waiting
+    %{pending | waiting: %{waiting | time => {live, values, open - 1}}}
   end
 
-  defp update_entry(entries, time, fun),
-    do: %{entries | waiting: Map.update!(entries.waiting, time, fun)}
+  @typedoc "The times that wait for a branch, in order: the first ones, and the others in reverse."
+  @type times :: {[Situ.Time.t()], [Situ.Time.t()]}
+
+  @spec no_times() :: times()
+  def no_times, do: {[], []}
+
+  @spec append_time(times(), Situ.Time.t()) :: times()
+  def append_time({front, rear}, time), do: {front, [time | rear]}
+
+  @doc """
+  Adds outputs of a branch, in order, to the times that wait for it, and returns the remaining times. The branch has no
+  more outputs up to `passed_time`; `nil` if that is not known, `:infinity` if it has ended.
+  """
+  @spec settle_times(
+          t(),
+          term(),
+          times(),
+          [{Situ.Time.t(), term()}],
+          Situ.Time.t() | nil | :infinity
+        ) ::
+          {times(), t()}
+  def settle_times(pending, key, {front, []}, outputs, passed_time),
+    do: settle_outputs(outputs, passed_time, front, key, pending)
+
+  def settle_times(pending, key, {front, rear}, outputs, passed_time),
+    do: settle_outputs(outputs, passed_time, front ++ :lists.reverse(rear), key, pending)
+
+  defp settle_outputs([{time, value} | outputs], passed, [time | times], key, pending),
+    do: settle_outputs(outputs, passed, times, key, put_value(pending, time, key, value))
+
+  defp settle_outputs([{at, _} | _] = outputs, passed, [time | times], key, pending)
+       when time < at,
+       do: settle_outputs(outputs, passed, times, key, mark_missing(pending, time))
+
+  defp settle_outputs([_unneeded | outputs], passed, times, key, pending),
+    do: settle_outputs(outputs, passed, times, key, pending)
+
+  # An atom is greater than any time.
+  defp settle_outputs([], passed, [time | times], key, pending)
+       when passed != nil and time <= passed,
+       do: settle_outputs([], passed, times, key, mark_missing(pending, time))
+
+  defp settle_outputs([], _passed, times, _key, pending), do: {{times, []}, pending}
 
   @doc "Takes the decided outputs, up to the first undecided time."
   @spec take_decided(t()) :: {[Situ.Component.action()], t()}
-  def take_decided(entries), do: flush_decided(entries, [])
+  def take_decided(pending), do: take_decided(pending, [])
 
-  defp flush_decided(entries, outputs) do
-    with {:value, time} <- :queue.peek(entries.order),
-         %{open: 0} = entry <- Map.fetch!(entries.waiting, time) do
-      order = :queue.drop(entries.order)
-      entries = %{entries | order: order, waiting: Map.delete(entries.waiting, time)}
-      flush_decided(entries, build_output(entries, time, entry.live, entry.values) ++ outputs)
+  defp take_decided(pending, outputs) do
+    with {:value, time} <- :queue.peek(pending.order),
+         {live, values, 0} <- Map.fetch!(pending.waiting, time) do
+      waiting = Map.delete(pending.waiting, time)
+      pending = %{pending | order: :queue.drop(pending.order), waiting: waiting}
+      take_decided(pending, build_output(pending, time, live, values) ++ outputs)
     else
-      _ -> {Enum.reverse(outputs), entries}
+      _ -> {:lists.reverse(outputs), pending}
     end
   end
 
   @doc "Builds the output of a time at which all values are known."
   @spec build_output(t(), Situ.Time.t(), live(), map()) :: [Situ.Component.action()]
-  def build_output(entries, time, live, values) do
-    case {map_size(values) == live_count(live), entries.missing} do
+  def build_output(pending, time, live, values) do
+    case {map_size(values) == live_count(live), pending.missing} do
       {true, _} ->
-        [{:out, time, entries.creator.(shape_values(live, values, nil))}]
+        [{:out, time, pending.creator.(shape_values(live, values, nil))}]
 
-      {false, {:value, default}} ->
-        [{:out, time, entries.creator.(shape_values(live, values, default))}]
+      {false, {:value, value}} ->
+        [{:out, time, pending.creator.(shape_values(live, values, value))}]
 
       {false, :drop} ->
         []
@@ -85,13 +125,23 @@ defmodule Situ.Parallel.PendingOutputs do
   defp shape_values(keys, values, _default) when map_size(values) == length(keys), do: values
   defp shape_values(keys, values, default), do: Map.new(keys, &{&1, Map.get(values, &1, default)})
 
+  @doc "Builds the output of a time at which every branch has a value. `pairs` has the last position first."
+  @spec build_complete(t(), Situ.Time.t(), list() | map(), [{term(), term()}]) ::
+          [Situ.Component.action()]
+  def build_complete(pending, time, parts, pairs) when is_list(parts),
+    do: [{:out, time, pending.creator.(collect_values(pairs, []))}]
+
+  def build_complete(pending, time, _parts, pairs),
+    do: [{:out, time, pending.creator.(:maps.from_list(pairs))}]
+
+  defp collect_values([], values), do: values
+  defp collect_values([{_, value} | pairs], values), do: collect_values(pairs, [value | values])
+
   @doc "Returns the keys of live branches."
   @spec live_keys(live()) :: [term()]
   def live_keys(n) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
   def live_keys(keys), do: keys
 
-  @doc "Returns the number of live branches."
-  @spec live_count(live()) :: non_neg_integer()
-  def live_count(n) when is_integer(n), do: n
-  def live_count(keys), do: length(keys)
+  defp live_count(n) when is_integer(n), do: n
+  defp live_count(keys), do: length(keys)
 end

@@ -1,271 +1,180 @@
 defmodule Situ.Parallel.Processes do
   @moduledoc false
-  # The component of parallel with `branches: :processes`. Each branch is a separate pipeline (Branch.Process), and the
-  # pure ProcessBranches decides what to send to it.
+  # Branches that are separate pipelines with their own processes (`Situ.Parallel.BranchPipeline`), and so may contain
+  # any component. With `choose_node:`, the pipeline of a key runs on the node that the function returns.
   #
-  # The number of messages with undecided outputs is limited: when it reaches @limit, the input is held. If nothing
-  # arrives although no branch is working, the branches need more input (for a window or a filter). The input is then
-  # released and the limit doubled.
-  use Situ.Component,
-    inputs: [in: :any],
-    outputs: [out: :any],
-    options: [
-      fun: [type: :any, required: true, doc: "A function of a stream, or of a key and a stream."],
-      type: [type: :any, default: :any],
-      form: [type: :any, required: true],
-      split: [type: {:optional, {:fun, 1}}],
-      with: [type: {:optional, {:fun, 1}}],
-      termination: [type: :any, default: :never],
-      missing: [type: :any, default: :drop],
-      on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
-      branches: [type: {:in, [:processes]}, default: :processes],
-      branch_policy: [type: {:optional, {:struct, Situ.Delivery}}]
-    ]
-
-  alias Situ.Parallel.{PendingOutputs, RunningBranches, Parts, ProcessBranches}
+  # The parts of a batch are collected, and sent in one message for each branch. Parts for a branch that has not opened
+  # its input yet are kept until it has.
+  @behaviour Situ.Parallel.Strategy
+  alias Situ.Lifecycle.Errors
+  alias Situ.Parallel.{BranchPipeline, Relay}
   alias Situ.Pipeline.Client
 
-  @limit 256
+  @enforce_keys [:opts, :path, :timing]
+  defstruct [:opts, :path, :timing, branches: %{}, unsent: %{}, closing: []]
 
-  defstruct [:opts, :pool, :timing, branches: %{}, limit: @limit, held?: false, moved?: true]
-
-  @impl true
-  def init(opts) do
-    opts = Map.new(opts)
-
-    pool =
-      ProcessBranches.new(
-        form: opts.form,
-        termination: opts.termination,
-        missing: opts.missing,
-        creator: opts[:with] || (& &1)
-      )
-
-    {:ok, %__MODULE__{opts: opts, pool: pool}}
-  end
+  # The branch of a key is represented by a reference.
+  @typep branch :: %{
+           key: term(),
+           pid: pid(),
+           gate: pid() | nil,
+           output?: boolean(),
+           immediate?: boolean(),
+           early: [BranchPipeline.entry()],
+           last_time: Situ.Time.t() | nil,
+           stop: Situ.Time.t() | nil
+         }
+  @type t :: %__MODULE__{branches: %{reference() => branch()}}
 
   @impl true
-  def handle_start(context, state),
-    do: {[], %{state | timing: Client.call!(context.pipeline, :timing)}}
-
-  @impl true
-  def handle_message(input, message, context, state),
-    do: handle_messages(input, [message], context, state)
-
-  @impl true
-  def handle_messages(_input, messages, context, state) do
-    {orders, outputs, after_all} =
-      Enum.reduce(messages, {[], [], state}, &push_message(&1, &2, context, state))
-
-    orders = orders |> :lists.reverse() |> :lists.append()
-    outputs = outputs |> :lists.reverse() |> :lists.append()
-    hold_or_resume(outputs, carry_out_orders(after_all, orders))
-  end
-
-  # Nothing is sent until all messages are known to be valid.
-  defp push_message(message, {orders, outputs, state}, context, before) do
-    or_abandon(state, before, fn ->
-      parts = Parts.split_parts(state.opts.form, state.opts[:split], message.data)
-      at = {context.path, message.originating_time}
-
-      begun =
-        Enum.reduce(
-          ProcessBranches.keys_without_branch(state.pool, parts),
-          state,
-          &start_branch(&2, &1, at, before)
-        )
-
-      {more, came, pool} =
-        or_abandon(begun, before, fn ->
-          ProcessBranches.push_message(begun.pool, message, parts)
-        end)
-
-      {[more | orders], [came | outputs], %{begun | pool: pool}}
-    end)
+  def build_state(opts, context) do
+    timing = Map.put(Client.call!(context.pipeline, :timing), :policy, opts[:branch_policy])
+    %__MODULE__{opts: opts, path: context.path, timing: timing}
   end
 
   @impl true
-  def handle_info({:situ_branch, id, said}, _context, state) do
-    {outputs, state} = drain_branch_messages(handle_branch_message(said, id, state))
-    hold_or_resume(outputs, state)
-  end
-
-  def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
-
-  def handle_info({:hold_ended, :in}, _context, %{held?: true} = state) do
-    if state.moved? or
-         RunningBranches.at_work?(state.branches, ProcessBranches.awaited_branches(state.pool)),
-       do: {[{:hold, :in}], %{state | moved?: false}},
-       else: {[], %{state | held?: false, limit: state.limit * 2}}
-  end
-
-  def handle_info(message, _context, state) do
-    case RunningBranches.find_ended(message, state.branches) do
-      {id, result} ->
-        {outputs, state} = handle_branch_end(id, result, state)
-        hold_or_resume(outputs, state)
-
-      nil ->
-        {[], state}
-    end
-  end
-
-  # The outputs of parts that are still in the branches must be emitted before this operator ends.
-  @impl true
-  def handle_closed(_input, time, context, state) do
-    {orders, pool} = ProcessBranches.close_input(state.pool, time)
-    state = carry_out_orders(%{state | pool: pool}, orders)
-    monitors = for {_, branch} <- state.branches, into: %{}, do: {branch.monitor, true}
-    drain_branches(state, {context.pipeline, monitors}, nil, [])
-  end
-
-  @impl true
-  def terminate(_reason, state) do
-    RunningBranches.stop_new_branches(state.branches, %{})
-  end
-
-  @impl true
-  def describe(%{pool: pool} = state) do
-    failed = if pool.failed > 0, do: ", #{pool.failed} failed and restarted", else: ""
-    waiting = PendingOutputs.waiting_count(pool.entries)
-    waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
-    ending = map_size(state.branches) - map_size(pool.keys)
-    ends = if ending > 0, do: ", #{ending} ending", else: ""
-
-    "#{map_size(pool.keys)} branches live, each its own pipeline, #{pool.started} started#{ends}#{failed}#{waits}"
-  end
-
-  @doc "Returns the pipelines of the branches."
-  @spec branch_pipelines(term()) :: [pid()]
-  def branch_pipelines(%__MODULE__{branches: branches}),
-    do: for({_, branch} <- branches, do: branch.pid)
-
-  defp start_branch(state, key, {path, time}, before) do
+  def start_branch(%{opts: opts} = state, key, time) do
     id = make_ref()
-    timing = Map.merge(state.timing, %{start: time, policy: state.opts[:branch_policy]})
-    at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
-    fun = bind_key(state.opts.fun, key)
-
-    running =
-      or_abandon(state, before, fn ->
-        RunningBranches.start_branch(state.branches, id, fun, at)
-      end)
-
-    pool = ProcessBranches.put_branch(state.pool, key, id, running[id].output?)
-    %{state | pool: pool, branches: running}
+    fun = if is_function(opts.fun, 1), do: opts.fun, else: &opts.fun.(key, &1)
+    node = if opts[:choose_node], do: opts.choose_node.(key), else: node()
+    timing = Map.put(state.timing, :start, time)
+    place = %{id: id, node: node, path: format_path(state, key), type: opts.type, timing: timing}
+    built = start_pipeline(fun, place)
+    # The messages of a lost branch are known by the tag, without a search for the monitor.
+    :erlang.monitor(:process, built.pid, tag: {:situ_branch_down, id})
+    branch = Map.merge(built, %{key: key, gate: nil, early: [], last_time: nil, stop: nil})
+    {id, built.output?, put_branch(state, id, branch)}
   end
 
-  # If a message fails, the branches that were started for it are stopped.
-  defp or_abandon(state, before, fun) do
-    fun.()
-  rescue
-    error ->
-      RunningBranches.stop_new_branches(state.branches, before.branches)
-      reraise error, __STACKTRACE__
-  end
+  defp start_pipeline(fun, %{node: node} = place) when node == node(),
+    do: BranchPipeline.start!(fun, place)
 
-  defp bind_key(fun, _key) when is_function(fun, 1), do: fun
-  defp bind_key(fun, key), do: &fun.(key, &1)
+  defp start_pipeline(fun, place), do: Relay.start!(fun, place)
 
-  defp carry_out_orders(state, orders),
-    do: %{state | branches: RunningBranches.carry_out(orders, state.branches)}
+  defp format_path(state, key), do: Situ.Branch.format_path({state.path, key})
+  defp put_branch(state, id, branch), do: %{state | branches: Map.put(state.branches, id, branch)}
 
-  # Handles all branch messages that are already in the mailbox, in one time slice.
-  defp drain_branch_messages({outputs, state}) do
-    receive do
-      {:situ_branch, id, said} ->
-        {more, state} = handle_branch_message(said, id, state)
-        drain_branch_messages({outputs ++ more, state})
-    after
-      0 -> {outputs, state}
+  @impl true
+  def push_part(state, _key, id, data, message),
+    do: {:sent, add_entry(state, id, {message.originating_time, data})}
+
+  # Only chains of light operators report the times they have passed.
+  @impl true
+  def pass_time(state, id, time),
+    do: if(state.branches[id].immediate?, do: add_entry(state, id, time), else: state)
+
+  defp add_entry(%{unsent: unsent} = state, id, entry) do
+    case unsent do
+      %{^id => entries} -> %{state | unsent: %{unsent | id => [entry | entries]}}
+      _ -> %{state | unsent: Map.put(unsent, id, [entry])}
     end
   end
 
-  defp handle_branch_message({:open, gate}, id, state) when is_map_key(state.branches, id),
-    do: {[], %{state | branches: RunningBranches.put_gate(state.branches, id, gate)}}
+  @impl true
+  def close_branch(state, _key, id, time),
+    do: {:later, %{state | closing: [{id, time} | state.closing]}}
 
-  defp handle_branch_message({:outputs, reported, passed_time}, id, %{branches: branches} = state) do
-    passed_time = if match?(%{^id => %{immediate?: true}}, branches), do: passed_time
-    {outputs, pool} = ProcessBranches.add_outputs(state.pool, id, reported, passed_time)
-    {outputs, %{state | pool: pool, moved?: true}}
+  @impl true
+  def immediate?(_id), do: false
+
+  @impl true
+  def waiting_limit, do: 256
+
+  @impl true
+  def send_parts(%{unsent: unsent, closing: closing} = state) do
+    state = Enum.reduce(unsent, %{state | unsent: %{}, closing: []}, &send_entries/2)
+    Enum.reduce(closing, state, &request_stop/2)
   end
 
-  defp handle_branch_message(_of_a_branch_that_is_gone, _id, state), do: {[], state}
+  # Entries are newest first. Only a function may name an earlier end than the last part of a branch.
+  defp send_entries({id, [newest | _] = entries}, %{opts: opts} = state) do
+    branch = Map.fetch!(state.branches, id)
+    if branch.gate, do: send(branch.gate, {:situ_feed, :lists.reverse(entries)})
 
-  # A branch has ended, either as requested or because it failed.
-  defp handle_branch_end(id, result, state) do
-    {outputs, pool} = ProcessBranches.remove_branch(state.pool, id)
-
-    state = %{
+    if branch.gate && not is_function(opts.termination.rule) do
       state
-      | branches: RunningBranches.remove_branch(state.branches, id),
-        pool: pool,
-        moved?: true
-    }
-
-    {outputs, handle_branch_result(result, state)}
-  end
-
-  defp handle_branch_result({:ok, _report}, state), do: state
-
-  defp handle_branch_result({:error, _error}, %{opts: %{on_branch_error: :restart}} = state),
-    do: put_in(state.pool.failed, state.pool.failed + 1)
-
-  # The error is raised with the next message, so that the state without the branch is kept for any `on_error:`.
-  defp handle_branch_result({:error, error}, state) do
-    send(self(), {:situ_branch_failed, error})
-    state
-  end
-
-  defp hold_or_resume(outputs, state) do
-    waiting = PendingOutputs.waiting_count(state.pool.entries)
-
-    cond do
-      not state.held? and waiting >= state.limit ->
-        {outputs ++ [{:hold, :in}], %{state | held?: true, moved?: false}}
-
-      state.held? and waiting <= div(state.limit, 2) ->
-        {outputs ++ [{:resume, :in}], %{state | held?: false}}
-
-      true ->
-        {outputs, state}
+    else
+      early = if branch.gate, do: [], else: entries ++ branch.early
+      put_branch(state, id, %{branch | early: early, last_time: entry_time(newest)})
     end
   end
 
-  # Waits until every branch has ended, however long the branches take for their remaining messages. It keeps reporting
-  # progress to the surrounding pipeline.
-  defp drain_branches(%{branches: branches} = state, _around, _marks, outputs)
-       when map_size(branches) == 0,
-       do: finish_drain(state, outputs)
+  defp entry_time({time, _data}), do: time
+  defp entry_time(time), do: time
 
-  defp drain_branches(state, {pipeline, monitors} = around, marks, outputs) do
+  # A branch ends after the last message sent to it, even if its rule names an earlier time.
+  defp request_stop({id, time}, state) do
+    branch = Map.fetch!(state.branches, id)
+    time = if branch.last_time, do: max(time, branch.last_time), else: time
+    if branch.gate, do: send(branch.pid, {:situ_stop, time})
+    put_branch(state, id, %{branch | stop: time})
+  end
+
+  @impl true
+  def read_event(state, {:situ_branch, id, content}), do: read_content(state, id, content)
+
+  def read_event(%{branches: branches} = state, {id, result}) when is_map_key(branches, id),
+    do: end_branch(state, id, if(match?({:ok, _report}, result), do: :ok, else: result))
+
+  def read_event(state, {{:situ_branch_down, id}, _monitor, :process, _pid, reason}) do
+    case state.branches do
+      %{^id => %{key: key}} ->
+        what = "#{format_path(state, key)} was killed: #{inspect(reason, limit: 8)}"
+        error = %{Errors.pipeline_crashed(reason) | code: :branch_killed, what: what}
+        end_branch(state, id, {:error, error})
+
+      _ended ->
+        {:other, state}
+    end
+  end
+
+  def read_event(_state, _message), do: nil
+
+  defp read_content(%{branches: branches} = state, id, content) do
+    case {content, branches} do
+      {{:outputs, outputs, passed_time}, %{^id => branch}} ->
+        passed_time = if branch.immediate?, do: passed_time
+        {{:outputs, id, outputs, passed_time}, state}
+
+      {{:open, gate, _pipeline}, %{^id => branch}} ->
+        if branch.early != [], do: send(gate, {:situ_feed, :lists.reverse(branch.early)})
+        if branch.stop, do: send(branch.pid, {:situ_stop, branch.stop})
+        {:other, put_branch(state, id, %{branch | gate: gate, early: []})}
+
+      # The message that started this branch has failed.
+      {{:open, _gate, pipeline}, _unknown} ->
+        send(pipeline, :situ_stop)
+        {:other, state}
+
+      _ ->
+        {:other, state}
+    end
+  end
+
+  defp end_branch(state, id, result) do
+    {branch, branches} = Map.pop!(state.branches, id)
+    {{:ended, branch.key, id, result}, %{state | branches: branches}}
+  end
+
+  @impl true
+  def await_event(%{branches: branches} = state, timeout) do
     receive do
-      {:situ_branch, id, said} ->
-        {more, state} = handle_branch_message(said, id, state)
-        Client.report_movement(pipeline)
-        drain_branches(state, around, marks, [more | outputs])
-
-      {id, result} when is_map_key(state.branches, id) ->
-        {more, state} = handle_branch_end(id, result, state)
-        drain_branches(state, around, marks, [more | outputs])
-
-      {:DOWN, monitor, :process, _, _} = down when is_map_key(monitors, monitor) ->
-        {id, result} = RunningBranches.find_ended(down, state.branches)
-        {more, state} = handle_branch_end(id, result, state)
-        drain_branches(state, around, marks, [more | outputs])
+      {:situ_branch, _id, _content} = message -> read_event(state, message)
+      {id, _result} = message when is_map_key(branches, id) -> read_event(state, message)
+      {{:situ_branch_down, _id}, _, _, _, _} = message -> read_event(state, message)
     after
-      1_000 ->
-        now = RunningBranches.progress_marks(state.branches)
-        if now != marks, do: Client.report_movement(pipeline)
-        drain_branches(state, around, now, outputs)
+      timeout -> nil
     end
   end
 
-  defp finish_drain(state, outputs) do
-    receive do
-      {:situ_branch_failed, error} -> raise error
-    after
-      0 -> {outputs |> Enum.reverse() |> Enum.concat(), state}
-    end
-  end
+  @impl true
+  def list_pipelines(state),
+    do: for({id, branch} <- state.branches, do: {id, branch.pid, branch.immediate?})
+
+  # A checkpoint names the reference as the reason for which it cannot save the operator.
+  @impl true
+  def snapshot_branch(_state, _key, id), do: {:ok, id}
+
+  @impl true
+  def restore_branch(_state, _key, _plain, id), do: {:ok, id}
 end

@@ -1,99 +1,71 @@
 defmodule Situ.Parallel.Values do
   @moduledoc false
-  # The component of parallel, which contains all branches.
-  use Situ.Component,
-    inputs: [in: :any],
-    outputs: [out: :any],
-    options: [
-      fun: [type: :any, required: true, doc: "A function of a stream, or of a key and a stream."],
-      type: [type: :any, default: :any],
-      form: [type: :any, required: true],
-      split: [type: {:optional, {:fun, 1}}],
-      with: [type: {:optional, {:fun, 1}}],
-      termination: [type: :any, default: :never],
-      missing: [type: :any, default: :drop],
-      on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
-    ]
+  # Branches that are values in the operator's process (`Situ.Branch`). Every part is handled immediately.
+  @behaviour Situ.Parallel.Strategy
+  alias Situ.Branch
+  alias Situ.Branch.Chain
 
-  alias Situ.Parallel.{ValueBranches, Parts}
-
-  @many 1_000
-  @roomy {__MODULE__, :roomy}
+  @enforce_keys [:fun, :context, :seed]
+  defstruct [:fun, :context, :seed, :template]
 
   @impl true
-  def init(opts), do: {:ok, {nil, Map.new(opts)}}
+  def build_state(opts, context),
+    do: %__MODULE__{fun: opts.fun, context: context, seed: Branch.build_seed(opts.type)}
 
   @impl true
-  def handle_start(context, {nil, opts}), do: {[], {build_core(opts, context), opts}}
-
-  @impl true
-  def handle_message(_input, message, _context, {core, opts}) do
-    parts = Parts.split_parts(opts.form, opts[:split], message.data)
-    make_room(core, parts)
-    {outputs, core} = ValueBranches.push_message(core, message, parts)
-    {outputs, {core, opts}}
+  def start_branch(state, key, _time) do
+    opts = [seed: state.seed, path: branch_path(state, key), context: state.context]
+    {branch, template} = Branch.start_like(bind_key(state.fun, key), state.template, opts)
+    {branch, Branch.has_output?(branch), %{state | template: template}}
   end
 
-  @impl true
-  def handle_messages(_input, messages, _context, {core, opts}) do
-    {outputs, core} =
-      Enum.flat_map_reduce(messages, core, fn message, core ->
-        parts = Parts.split_parts(opts.form, opts[:split], message.data)
-        make_room(core, parts)
-        ValueBranches.push_message(core, message, parts)
-      end)
+  defp branch_path(state, key), do: {state.context.path, key}
 
-    {outputs, {core, opts}}
+  defp bind_key(fun, _key) when is_function(fun, 1), do: fun
+  defp bind_key(fun, key), do: &fun.(key, &1)
+
+  @impl true
+  def push_part(state, key, %Chain{} = branch, data, message) do
+    Chain.push_data(branch, data, message)
+  catch
+    {:situ_step, _, _, _, _} = failure ->
+      Chain.raise_failure(branch, Branch.format_path(branch_path(state, key)), failure)
+  end
+
+  def push_part(_state, _key, branch, data, message) do
+    {outputs, branch} = Branch.push(branch, %{message | data: data})
+    {:outputs, outputs, branch}
   end
 
   @impl true
-  def handle_closed(_input, time, _context, {core, opts}) do
-    {outputs, core} = ValueBranches.close_input(core, time)
-    {outputs, {core, opts}}
-  end
+  def pass_time(state, _branch, _time), do: state
 
   @impl true
-  def describe({nil, _opts}), do: "not started"
+  def close_branch(_state, _key, branch, time), do: {:closed, Branch.close(branch, time)}
 
-  def describe({core, _opts}) do
-    failed = if core.failed > 0, do: ", #{core.failed} failed and restarted", else: ""
-    waiting = Situ.Parallel.PendingOutputs.waiting_count(core.entries)
-    waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
-    "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
-  end
+  @impl true
+  def immediate?(branch), do: is_struct(branch, Chain)
 
-  # A process with very many branches must not copy all of them in every garbage collection. From @many branches on, it
-  # does a full sweep only when the old heap is full, and has a young heap large enough for several messages' garbage.
-  defp make_room(%{branches: branches}, parts)
-       when is_map(parts) and map_size(branches) + map_size(parts) > @many do
-    if Process.get(@roomy) == nil do
-      Process.put(@roomy, true)
-      Process.flag(:fullsweep_after, 65_535)
-      Process.flag(:min_heap_size, 1_000_000)
-    end
+  @impl true
+  def waiting_limit, do: :infinity
 
-    :ok
-  end
+  @impl true
+  def send_parts(state), do: state
 
-  defp make_room(_core, _parts), do: :ok
+  @impl true
+  def read_event(_state, _message), do: nil
 
-  defp build_core(opts, context) do
-    ValueBranches.new(
-      start: branch_starter(opts, context),
-      form: opts.form,
-      termination: opts.termination,
-      missing: opts.missing,
-      creator: opts[:with] || (& &1),
-      on_failure: opts.on_branch_error
-    )
-  end
+  @impl true
+  def await_event(_state, _timeout), do: nil
 
-  defp branch_starter(%{fun: fun, type: type}, context) do
-    shared = [seed: Situ.Branch.build_seed(type), context: context]
-    start = fn key, fun -> Situ.Branch.start(fun, [path: {context.path, key}] ++ shared) end
+  @impl true
+  def list_pipelines(_state), do: []
 
-    if is_function(fun, 1),
-      do: fn key -> start.(key, fun) end,
-      else: fn key -> start.(key, &fun.(key, &1)) end
-  end
+  @impl true
+  def snapshot_branch(state, key, branch),
+    do: Branch.take_snapshot(branch, Branch.format_path(branch_path(state, key)))
+
+  @impl true
+  def restore_branch(state, key, plain, branch),
+    do: Branch.restore_snapshot(branch, plain, Branch.format_path(branch_path(state, key)))
 end

@@ -2,7 +2,7 @@ defmodule Situ.Test.Idle do
   @moduledoc false
   # Waits, without sleeping, until a pipeline with a manual clock is idle.
   alias Situ.Clock
-  alias Situ.Parallel.Processes
+  alias Situ.Parallel
   alias Situ.Stage.State
 
   @spec await_idle(pid(), Clock.t()) :: :ok
@@ -47,8 +47,8 @@ defmodule Situ.Test.Idle do
 
   defp probe_step(%{timers: %{alarm: {due, _wait, _timer}}}, now) when due <= now, do: [:due]
 
-  defp probe_step(%{worker: %{core: %Processes{} = core}}, now),
-    do: Enum.flat_map(Processes.branch_pipelines(core), &probe_pipeline(&1, now))
+  defp probe_step(%{worker: %{core: %Parallel.Component{} = core}}, now),
+    do: Enum.flat_map(Parallel.Component.branch_pipelines(core), &probe_pipeline(&1, now))
 
   defp probe_step(_step, _now), do: []
 end

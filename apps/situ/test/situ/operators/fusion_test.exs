@@ -170,10 +170,15 @@ defmodule Situ.Operators.FusionTest do
 
     test "ended branches leave no state even if keys never repeat" do
       core =
-        Situ.Parallel.ValueBranches.new(
-          start: fn _ -> Situ.Branch.start(&Situ.window(&1, 0..1)) end,
+        Situ.Parallel.Branches.new(
+          strategy: Situ.Parallel.Values,
+          running:
+            Situ.Parallel.Values.build_state(
+              %{fun: &Situ.window(&1, 0..1), type: :any},
+              %Situ.Component.Context{path: "P"}
+            ),
           form: :sparse,
-          termination: {:after_absent, 0},
+          termination: Situ.Parallel.Termination.parse_rule(:absent),
           missing: :drop,
           creator: & &1
         )
@@ -181,12 +186,12 @@ defmodule Situ.Operators.FusionTest do
       core =
         Enum.reduce(1..2_000, core, fn n, core ->
           message = %Message{originating_time: n, data: nil}
-          {_outputs, core} = Situ.Parallel.ValueBranches.push_message(core, message, %{n => n})
+          {_outputs, core} = Situ.Parallel.Branches.push_message(core, message, %{n => n})
           core
         end)
 
       assert map_size(core.branches) == 1
-      assert Situ.Parallel.PendingOutputs.waiting_count(core.entries) <= 1
+      assert Situ.Parallel.PendingOutputs.waiting_count(core.pending) <= 1
       assert core.started == 2_000
     end
   end

@@ -70,6 +70,50 @@ defmodule Situ.Operators.ParallelTest do
                [%{a: 1}, %{a: 0}, %{a: 2}, %{a: 0}, %{a: 3}, %{a: 0}, %{}]
     end
 
+    test "an output lacks only the key whose branch a function ends, even if the key is present" do
+      until = fn key, map, time -> if map[key] == :end, do: {:close, time}, else: :keep end
+      maps = [m: [{0, %{a: 1, b: 1}}, {1, %{a: :end, b: 2}}, {2, %{a: 3, b: 3}}]]
+      count = fn _key, s -> Situ.count(s) end
+      expected = [{0, %{a: 1, b: 1}}, {1, %{b: 2}}, {2, %{a: 1, b: 3}}]
+
+      for branches <- [:values, :processes] do
+        build = &Situ.parallel(&1.m, count, until: until, branches: branches)
+        assert run(maps, build) == expected
+      end
+    end
+
+    test "calls the function for each branch, also if all are built alike" do
+      me = self()
+
+      build = fn s ->
+        Situ.parallel(
+          s.m,
+          fn part ->
+            send(me, :built)
+            Situ.map(part, &(&1 + 1))
+          end,
+          of: :maps
+        )
+      end
+
+      assert run([m: [{0, %{a: 1, b: 2}}, {1, %{a: 1, c: 3}}]], build) ==
+               [{0, %{a: 2, b: 3}}, {1, %{a: 2, c: 4}}]
+
+      for _ <- 1..3, do: assert_received(:built)
+      refute_received :built
+    end
+
+    test "names the node that is not connected" do
+      build = fn s ->
+        Situ.parallel(s.m, fn _, part -> part end, branches: {:nodes, fn _ -> :nobody@nowhere end})
+      end
+
+      assert {:error, %{code: :branch_node_down} = error} =
+               Situ.Test.run([m: [{0, %{a: 1}}]], build)
+
+      assert error.what =~ "Parallel[:a] cannot start on nobody@nowhere"
+    end
+
     test "refuses sources inside a branch" do
       build =
         &Situ.parallel(&1.m, fn _k, s -> Situ.join(s, Situ.repeat(s.pipeline, 1, every: 1)) end)

@@ -209,7 +209,7 @@ defmodule Situ.Parallel.ProcessesTest do
       for pid <- links,
           is_pid(pid),
           %Situ.Stage.State{steps: {%{worker: %{module: module}}}} <- [:sys.get_state(pid)],
-          module != Situ.Parallel.Processes,
+          module != Situ.Parallel.Component,
           do: pid
     end
 
@@ -380,7 +380,7 @@ defmodule Situ.Parallel.ProcessesTest do
       for pid <- links,
           is_pid(pid),
           match?(
-            %Situ.Stage.State{steps: {%{worker: %{module: Situ.Parallel.Processes}}}},
+            %Situ.Stage.State{steps: {%{worker: %{module: Situ.Parallel.Component}}}},
             :sys.get_state(pid)
           ),
           do: Process.exit(pid, :kill)
@@ -396,8 +396,8 @@ defmodule Situ.Parallel.ProcessesTest do
     property "emit the same maps at the same times", numtests: 60 do
       forall {kind, maps, until, default, present} <-
                {one_of(@kinds), timed_values(keyed(), 4),
-                one_of([:absent, {:absent, 1}, {:absent, 3}, :never]), one_of([:drop, 0]),
-                boolean()} do
+                one_of([:absent, {:absent, 1}, {:absent, 3}, :never, &end_branch/3]),
+                one_of([:drop, 0]), boolean()} do
         opts = [of: :maps, until: until, only_present: present]
         opts = if default == :drop, do: opts, else: [or_default: default] ++ opts
         assert both([m: maps], kind, opts)
@@ -411,6 +411,10 @@ defmodule Situ.Parallel.ProcessesTest do
         assert both([m: lists], kind, opts)
       end
     end
+
+    # Ends branches whether or not their keys are present.
+    defp end_branch(key, map, time),
+      do: if(rem(map_size(map) + key, 3) == 0, do: {:close, time}, else: :keep)
 
     defp keyed do
       map(list({integer(0, 3), integer(-9, 9)}), &Map.new/1)

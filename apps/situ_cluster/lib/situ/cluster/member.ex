@@ -7,6 +7,7 @@ defmodule Situ.Cluster.Member do
   #   {:situ_cluster, :publisher, part, publisher}   the reply, immediately and whenever the publisher changes
 
   alias Situ.Cluster.{Agent, Deployment, Placement, NodeMetrics}
+  alias Situ.Error
 
   @table __MODULE__
 
@@ -62,6 +63,27 @@ defmodule Situ.Cluster.Member do
   @doc "Returns this node's rank for a part (0 is the most preferred), or `nil` if it may not run the part."
   @spec own_rank(map(), String.t()) :: non_neg_integer() | nil
   def own_rank(rule, part), do: Placement.node_rank(list_members(), rule, part, node())
+
+  @doc "Returns the node for the branch of `key`; see `Situ.Cluster.choose_node/2`."
+  @spec choose_branch_node!(term(), keyword()) :: node()
+  def choose_branch_node!(key, rule) do
+    if :ets.whereis(@table) == :undefined, do: raise(not_member_error())
+    rule = %{on: List.wrap(rule[:on]), only: rule[:only] || false}
+
+    Placement.choose_branch_node(list_members(), rule, key) ||
+      raise Error.new(:no_node, "no node may run the branch of #{inspect(key, limit: 5)}",
+              why: "no member matches #{inspect(rule.on)}",
+              fix: "start a member that has such a label or device, or omit only:"
+            )
+  end
+
+  @doc "Returns the error for a node that is not a member of a cluster."
+  @spec not_member_error() :: Error.t()
+  def not_member_error do
+    Error.new(:no_cluster, "this node is not a member of a cluster",
+      fix: "start it with Situ.Cluster.start_link(log: ...)"
+    )
+  end
 
   @doc """
   Reports to the runners of a part on all other nodes that this node has written or released its lease. Skips nodes

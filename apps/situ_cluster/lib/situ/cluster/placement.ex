@@ -46,6 +46,19 @@ defmodule Situ.Cluster.Placement do
   def best_nodes(members, %{on: []}), do: Map.keys(members)
   def best_nodes(members, %{on: [first | _]}), do: matching_nodes(members, first, true)
 
+  @doc """
+  Returns the node for the branch of `key`, from the nodes that the rule prefers, or from all members if it matches
+  none and is not `only`. Keys are spread evenly, and only the keys of a lost node move to other nodes.
+  """
+  @spec choose_branch_node(members(), map(), term()) :: node() | nil
+  def choose_branch_node(members, rule, key) do
+    case best_nodes(members, rule) do
+      [] when rule.only -> nil
+      [] -> choose_branch_node(members, %{rule | on: []}, key)
+      nodes -> Enum.max_by(nodes, &:erlang.phash2({key, &1}))
+    end
+  end
+
   defp matching_nodes(members, node, _only) when is_atom(node),
     do: if(is_map_key(members, node), do: [node], else: [])
 

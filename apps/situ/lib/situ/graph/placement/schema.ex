@@ -49,9 +49,15 @@ defmodule Situ.Graph.Placement.Schema do
     doc: "Delivery policy of its inputs, or a list with one policy per input, primary first."
   ]
 
-  @spec options_for(Situ.Graph.Placement.kind()) :: Options.schema()
-  def options_for(kind), do: Enum.map(Map.fetch!(@keys, kind), &option_entry/1)
+  # Every component and operator of every branch needs a schema, so they are built once.
+  @schemas Map.new(@keys, fn {kind, keys} ->
+             {kind,
+              Enum.map(keys, fn
+                :policies -> {:policy, @policies}
+                key -> {key, @schema[key]}
+              end)}
+           end)
 
-  defp option_entry(:policies), do: {:policy, @policies}
-  defp option_entry(key), do: {key, @schema[key]}
+  @spec options_for(Situ.Graph.Placement.kind()) :: Options.schema()
+  def options_for(kind), do: Map.fetch!(@schemas, kind)
 end
