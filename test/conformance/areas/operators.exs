@@ -1,9 +1,12 @@
 defmodule Situ.Conformance.Operators do
   import Situ.Conformance.Case
-  alias Situ.Conformance.{Formula, Run}
+  alias Situ.Conformance.{Facts, Formula, Run, Text}
 
   @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream
                  time_of latency delay nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
+
+  # The words around the comparison of a delay.
+  @about_delays ~r/^(?:each |every )?(?:creation(?: time)? ?(?:-|minus) ?originating(?: time)?|latency|delay(?:ed)?)? ?(?:is |by )?|(?: (?:after|later than) (?:its|their|the) (?:creation|originating|original)(?: times?)?)$/
 
   # Alternative names of the same operators.
   @aliases %{"observable" => "to_observable", "enumerable" => "to_enumerable"}
@@ -48,54 +51,35 @@ defmodule Situ.Conformance.Operators do
   # An observer receives every value, and then the end.
   def check(%{"op" => "to_observable", "inputs" => [_ | _], "expect" => %{}} = case) do
     {:ok, outputs} = Run.inputs(case, fn [stream] -> Situ.each(stream, & &1) end)
-    values = Enum.map(outputs, &elem(&1, 1))
-
-    all(case, %{
-      "values" => values,
-      "received" => values,
-      "on_next" => values,
-      "count" => length(values),
-      "completed" => true,
-      "on_completed" => true,
-      "on_error" => false
-    })
+    all(case, Facts.of(case["expect"], outputs))
   end
 
   # Runs in real time until all messages have arrived. Checks their values and times, and that
   # none is earlier than its delay.
-  def check(%{"op" => "delay", "params" => params} = case) do
-    delay = duration(params, "delay")
-    [%{"messages" => messages}] = case["inputs"]
-    {got, latencies} = delayed(timed(messages), delay)
-    late = for latency <- latencies, latency < delay, do: latency
+  def check(%{"op" => "delay", "params" => params, "expect" => expect} = case) do
+    delay = delay(params)
+    messages = given(case)
+    {got, latencies} = delayed(messages, delay)
 
-    case case["expect"] do
-      list when is_list(list) ->
-        with :pass <- outputs(case, {:ok, got}), do: verdict([], late)
+    if is_list(expect) do
+      early = for latency <- latencies, latency < delay, do: latency
+      with :pass <- outputs(case, {:ok, got}), do: verdict([], early)
+    else
+      known =
+        for {key, wanted} <- expect,
+            into: %{},
+            do: {key, kept(key, wanted, messages, got, latencies)}
 
-      expect ->
-        all(case, %{
-          "count" => length(got),
-          "values" => Enum.map(got, &elem(&1, 1)),
-          "received" => Enum.map(got, &elem(&1, 1)),
-          "times_kept" => got == timed(messages),
-          "min_latency_ms" => min_latency(expect["min_latency_ms"], latencies),
-          "each_delayed_at_least_ms" =>
-            min_latency(expect["each_delayed_at_least_ms"], latencies),
-          "each" => each(expect["each"], latencies),
-          "latency" => each(expect["latency"], latencies)
-        })
+      all(case, Facts.of(expect, got, Map.reject(known, &match?({_, :other}, &1))))
     end
   end
 
   # Other processes post values, with or without conversion.
   def check(%{"op" => "event_source", "params" => params} = case) do
     me = self()
-    convert = if f = params["function"] || params["converter"], do: Formula.of_one(f), else: & &1
-
-    events =
-      params["events"] || params["posted"] ||
-        for(i <- case["inputs"], m <- i["messages"], do: m["v"])
+    formula = Enum.find_value(~w(function converter convert conversion), &params[&1])
+    convert = if formula, do: Formula.of_one(formula), else: & &1
+    events = Text.range(params["events"] || params["posted"] || params["posts"]) || posted(case)
 
     {:ok, pipeline} =
       Situ.Pipeline.start(
@@ -114,18 +98,7 @@ defmodule Situ.Conformance.Operators do
     got = for _ <- events, do: receive(do: ({:value, value} -> value))
     {:ok, _} = Situ.Pipeline.stop(pipeline)
     unsubscribed? = receive do: (:unsubscribed -> true), after: (0 -> false)
-
-    case case["expect"] do
-      %{} = expect ->
-        all = %{"values" => got, "received" => got, "unsubscribed" => unsubscribed?}
-        verdict(expect, Map.take(all, Map.keys(expect)))
-
-      [%{"v" => _} | _] = messages ->
-        verdict(Enum.map(messages, & &1["v"]), got)
-
-      values ->
-        verdict(values, got)
-    end
+    event_outcome(case, got, unsubscribed?)
   end
 
   def check(%{"op" => "subpipeline.passthrough", "params" => params} = case) do
@@ -174,20 +147,79 @@ defmodule Situ.Conformance.Operators do
     {for({t, v, _} <- came, do: {t, v}), for({_, _, latency} <- came, do: latency)}
   end
 
-  defp min_latency(nil, _latencies), do: nil
-
-  defp min_latency(n, latencies),
-    do: if(Enum.all?(latencies, &(&1 >= ms(n))), do: n, else: latencies)
-
-  # "at least 50 ms after its creation", "latency >= 50 ms".
-  defp each(nil, _latencies), do: nil
-
-  defp each(text, latencies) do
-    told(text, [
-      {~r/.*(?:at least|>=|not before) ?(\d+) ?ms.*/,
-       fn [n] -> Enum.all?(latencies, &(&1 >= ms(String.to_integer(n)))) end}
-    ])
+  defp delay(params) do
+    found = Enum.find_value(~w(delay by duration span), &duration(params, &1))
+    found || Text.duration!(params["delay"] || Text.unknown!("a delay", params))
   end
+
+  # The messages of the only input, or `count` numbers at an interval.
+  defp given(%{"inputs" => [%{"messages" => messages}]}), do: timed(messages)
+
+  defp given(%{"inputs" => [], "params" => %{"count" => count} = params}) do
+    every = duration(params, "interval") || ms(1)
+    for i <- 0..(count - 1)//1, do: {i * every, i}
+  end
+
+  # Answers what a case says about delays, or :other. The delay is a number of the key's unit, or a
+  # comparison with its unit: "latency >= 50 ms", "at least 50 ms after its creation".
+  defp kept(key, wanted, messages, got, latencies) do
+    cond do
+      key =~ ~r/^times_kept$|^originating_times?$/ and not is_list(wanted) ->
+        if is_boolean(wanted),
+          do: got == messages,
+          else: meant(wanted, ~r/same|unchanged|kept|equal|own/, got == messages)
+
+      key =~ ~r/delay|latenc|creation|each|every/ ->
+        late(key, wanted, latencies)
+
+      true ->
+        :other
+    end
+  end
+
+  defp late(key, wanted, latencies) when is_number(wanted) do
+    least = duration(%{key => wanted}, Regex.replace(~r/_[a-z]+$/, key, ""))
+    least = least || Text.unknown!("the unit of a delay", key)
+    if latencies != [] and Enum.min(latencies) >= least, do: wanted, else: latencies
+  end
+
+  defp late(key, wanted, latencies) when is_binary(wanted) do
+    unit = with [_, unit] <- Regex.run(~r/_(ticks|us|ms|s)$/, key), do: " " <> unit
+    plain = Regex.replace(@about_delays, wanted, "")
+    plain = if unit && plain =~ ~r/\d$/, do: plain <> unit, else: plain
+    fits = Enum.map(latencies, &Text.compare(plain, &1, ns: true))
+
+    cond do
+      fits == [] or nil in fits -> {:unread, wanted}
+      Enum.all?(fits) -> wanted
+      true -> {:not_so, wanted, latencies}
+    end
+  end
+
+  defp late(_key, wanted, _latencies), do: {:unread, wanted}
+
+  defp posted(%{"inputs" => inputs}), do: for(i <- inputs, m <- i["messages"], do: m["v"])
+
+  # The handler is gone after the pipeline has stopped: "unsubscribed" is true, a number of handlers
+  # 0, and a handler null or false.
+  defp event_outcome(%{"expect" => %{} = expect} = case, got, unsubscribed?) do
+    known =
+      for {key, wanted} <- expect, key =~ ~r/subscri|handler|detach|attached/, into: %{} do
+        cond do
+          key =~ ~r/unsubscri|detach|removed/ -> {key, unsubscribed?}
+          is_integer(wanted) -> {key, if(unsubscribed?, do: 0, else: 1)}
+          is_nil(wanted) -> {key, if(unsubscribed?, do: nil, else: :attached)}
+          true -> {key, not unsubscribed?}
+        end
+      end
+
+    all(case, Facts.of(expect, Enum.map(got, &{0, &1}), known))
+  end
+
+  defp event_outcome(%{"expect" => [%{"v" => _} | _] = messages}, got, _unsubscribed?),
+    do: verdict(Enum.map(messages, & &1["v"]), got)
+
+  defp event_outcome(%{"expect" => values}, got, _unsubscribed?), do: verdict(values, got)
 
   defp nested(stream, 0, _extra), do: stream
 
@@ -201,8 +233,9 @@ defmodule Situ.Conformance.Operators do
     end)
   end
 
-  # With a seed, an optional selector computes the output from the state.
-  defp build("aggregate" <> _, stream, %{"function" => text} = params) do
+  # Applies an operation, also as the branch of a parallel operator. With a seed, an optional
+  # selector computes the output from the state.
+  def build("aggregate" <> _, stream, %{"function" => text} = params) do
     fun = Formula.of_two(text)
 
     if seed = params["seed"] || params["initial"] do
@@ -213,21 +246,21 @@ defmodule Situ.Conformance.Operators do
     end
   end
 
-  defp build("first", stream, params), do: Situ.first(stream, params["count"] || 1)
-  defp build("last", stream, params), do: Situ.last(stream, params["count"] || 1)
+  def build("first", stream, params), do: Situ.first(stream, params["count"] || 1)
+  def build("last", stream, params), do: Situ.last(stream, params["count"] || 1)
 
-  defp build("select", stream, %{"function" => "running average" <> _}) do
+  def build("select", stream, %{"function" => "running average" <> _}) do
     Situ.scan(stream, {0, 0}, fn value, {sum, n} -> {sum + value, n + 1} end)
     |> Situ.map(fn {sum, n} -> sum / n end)
   end
 
-  defp build("select", stream, %{"function" => text}) do
+  def build("select", stream, %{"function" => text}) do
     Situ.map(stream, Formula.of_one(text))
   end
 
-  defp build("where", stream, params), do: Situ.filter(stream, condition(params))
+  def build("where", stream, params), do: Situ.filter(stream, condition(params))
 
-  defp build("edit_stream", stream, params) do
+  def build("edit_stream", stream, params) do
     edits =
       for edit <- params["edits"] do
         if edit["delete"],
@@ -238,20 +271,20 @@ defmodule Situ.Conformance.Operators do
     Situ.edit(stream, edits)
   end
 
-  defp build("time_of", stream, _params), do: Situ.time_of(stream)
+  def build("time_of", stream, _params), do: Situ.time_of(stream)
 
-  defp build("latency", stream, _params), do: Situ.latency(stream)
-  defp build("delay", stream, params), do: Situ.delay(stream, duration(params, "delay"))
+  def build("latency", stream, _params), do: Situ.latency(stream)
+  def build("delay", stream, params), do: Situ.delay(stream, delay(params))
 
-  defp build("nullable_select", stream, p),
+  def build("nullable_select", stream, p),
     do: Situ.map_present(stream, Formula.of_one(p["function"]))
 
-  defp build("item1", stream, _params), do: Situ.map(stream, &hd/1)
-  defp build("item2", stream, _params), do: Situ.map(stream, &Enum.at(&1, 1))
-  defp build("flip", stream, _params), do: Situ.map(stream, fn [a, b] -> [b, a] end)
+  def build("item1", stream, _params), do: Situ.map(stream, &hd/1)
+  def build("item2", stream, _params), do: Situ.map(stream, &Enum.at(&1, 1))
+  def build("flip", stream, _params), do: Situ.map(stream, fn [a, b] -> [b, a] end)
 
   # Repeats every input, with the k-th copy k ticks later.
-  defp build("process", stream, params) do
+  def build("process", stream, params) do
     copies = params["outputs_per_input"] || 1
     fun = Formula.of_one(params["function"] || "v")
 
@@ -263,8 +296,8 @@ defmodule Situ.Conformance.Operators do
     end)
   end
 
-  defp build(op, stream, params)
-       when op in ["to_observable", "do", "name", "bridge_to", "pipe_to"] do
+  def build(op, stream, params)
+      when op in ["to_observable", "do", "name", "bridge_to", "pipe_to"] do
     if params["function"],
       do: stream |> Situ.map(Formula.of_one(params["function"])) |> Situ.each(& &1),
       else: Situ.each(stream, & &1)
@@ -276,7 +309,4 @@ defmodule Situ.Conformance.Operators do
       text -> Formula.condition(text)
     end
   end
-
-  defp duration(params, key),
-    do: if(n = params[key <> "_ms"], do: ms(n), else: ticks(params[key <> "_ticks"]))
 end
