@@ -5,7 +5,7 @@ defmodule Situ.Conformance.Facts do
   import Situ.Conformance.Case, only: [plain: 1, timed: 1, value: 1]
   alias Situ.Conformance.Text
 
-  @values ~w(values received delivered results list on_next observed outputs messages)
+  @values ~w(values received delivered posted emitted results list log on_next observed outputs messages)
   @counts ~w(count outputs results messages length number_of_outputs number_of_messages received
              message_count output_count calls)
 
