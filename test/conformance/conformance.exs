@@ -1,4 +1,4 @@
-for file <- ~w(formula text case facts inputs),
+for file <- ~w(text formula case facts inputs),
     do: Code.require_file("#{file}.exs", __DIR__)
 
 defmodule Situ.Conformance do
@@ -7,6 +7,8 @@ defmodule Situ.Conformance do
   # `{:not_applicable, reason}`.
   # The file name contains the area ("fuse.json", "situ_fuse.json"). If it does not, the area of
   # each case follows from its operation.
+
+  alias Situ.Conformance.Text.UnknownForm
 
   @folder Path.join(__DIR__, "areas")
 
@@ -248,7 +250,10 @@ defmodule Situ.Conformance do
   end
 
   defp checked(module, case) do
-    module.check(case)
+    case module.check(case) do
+      {:fail, expected, got} -> {:fail, expected, unknown_form(got) || got}
+      verdict -> verdict
+    end
   rescue
     error ->
       unreadable_or_expected(case, error, __STACKTRACE__)
@@ -265,8 +270,27 @@ defmodule Situ.Conformance do
 
   defp unreadable_or_expected(case, error, stack), do: unreadable(case, error, stack)
 
+  # The message of a part that no rule reads, also as the cause of a pipeline's error.
+  defp unknown_form(%UnknownForm{message: message}), do: message
+  defp unknown_form({:error, error}), do: unknown_form(error)
+
+  defp unknown_form(%Situ.Error{meta: meta}),
+    do: Enum.find_value([:reason, :cause, :exception], &unknown_form(meta[&1]))
+
+  defp unknown_form(_other), do: nil
+
+  defp unreadable(case, %UnknownForm{message: message}, _stack),
+    do: {:fail, expectation(case), message}
+
   defp unreadable(case, %Situ.Error{} = error, _stack),
-    do: {:fail, expectation(case), Exception.message(error)}
+    do: {:fail, expectation(case), unknown_form(error) || Exception.message(error)}
+
+  # No clause of an area fits the operation with these parameters and inputs.
+  defp unreadable(case, %FunctionClauseError{function: :check}, _stack) do
+    {:fail, expectation(case),
+     "no rule reads #{case["op"]} with the parameters #{inspect(Map.keys(case["params"]))}, " <>
+       "#{length(case["inputs"])} inputs and the expectation #{inspect(keys(expectation(case)))}"}
+  end
 
   defp unreadable(case, error, stack) do
     {:fail, expectation(case),
@@ -280,6 +304,9 @@ defmodule Situ.Conformance do
       |> String.split("\n")
       |> Enum.take(4)
       |> Enum.join("\n")
+
+  defp keys(%{} = expectation), do: Map.keys(expectation)
+  defp keys(_expectation), do: "as a value"
 
   defp expectation(case), do: Map.get(case, "expect") || {:error, case["expect_error"]}
 end

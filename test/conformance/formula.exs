@@ -15,8 +15,10 @@ defmodule Situ.Conformance.Formula do
 
   # Returns a function of a map from names to values.
   def function(text) do
-    {tree, []} = text |> tokens() |> disjunction()
-    fn values -> value(tree, values) end
+    case is_binary(text) and text |> tokens() |> disjunction() do
+      {tree, []} -> fn values -> value(tree, values) end
+      _ -> Situ.Conformance.Text.unknown!("a formula", text)
+    end
   end
 
   # Returns a function of the only value in a formula, independent of its name.
@@ -81,7 +83,7 @@ defmodule Situ.Conformance.Formula do
         ]
 
       _ ->
-        raise ArgumentError, "not a formula: #{inspect(whole)}, at #{inspect(text)}"
+        Situ.Conformance.Text.unknown!("a formula", {whole, :at, text})
     end
   end
 
@@ -165,6 +167,7 @@ defmodule Situ.Conformance.Formula do
     do: {{:text, %{"true" => true, "false" => false, "null" => nil}[word]}, rest}
 
   defp unary([{kind, _} = leaf | rest]) when kind in [:number, :name, :text], do: {leaf, rest}
+  defp unary(tokens), do: Situ.Conformance.Text.unknown!("the end of a formula", tokens)
 
   defp arguments(tokens) do
     case disjunction(tokens) do

@@ -3,6 +3,11 @@ defmodule Situ.Conformance.Text do
   # ranges ("0..9") and comparisons (">= 3", "at most 5 ms", "between 99 and 102"). A text is read
   # from its first to its last letter, so nothing in it is ignored.
 
+  defmodule UnknownForm do
+    # A part of a case that no rule reads. It never fits an error that a case expects.
+    defexception [:message]
+  end
+
   @units %{
     "ns" => 1,
     "tick" => 100,
@@ -20,12 +25,14 @@ defmodule Situ.Conformance.Text do
   @number "[-+]?\\d+(?:\\.\\d+)?"
   @unit "ns|ticks?|us|ms|milliseconds?|s|seconds?|min|minutes?|h|hours?"
   @words "(?: (?:messages?|values?|outputs?|times?|items?|calls?))?"
+  @comparisons "<=?|>=?|==?|at least|at most|no more than|not more than|up to|more than|" <>
+                 "less than|fewer than|greater than|exactly"
   @unbounded ~w(-inf -infinity inf +inf infinity +infinity min max unbounded infinite) ++
                ["∞", "-∞"]
 
   # Raises an error that names the part of a case that no rule reads.
   def unknown!(what, text),
-    do: raise(ArgumentError, "#{what} is not understood: #{inspect(text)}")
+    do: raise(UnknownForm, "#{what} is not understood: #{inspect(text)}")
 
   # Returns ns per unit ("ms", "ticks", "seconds" ...), or nil.
   def unit(name), do: @units[name] || @units[String.trim_trailing(name, "s")]
@@ -133,7 +140,7 @@ defmodule Situ.Conformance.Text do
 
   defp run_comparison(text) do
     Regex.run(
-      ~r/^(<=?|>=?|==?|at least|at most|no more than|not more than|up to|more than|less than|fewer than|greater than|exactly) ?(#{@number})(?: ?(#{@unit})\b)?#{@words}$/,
+      ~r/^(#{@comparisons}) ?(#{@number})(?: ?(#{@unit})\b)?#{@words}$/,
       text
     )
   end

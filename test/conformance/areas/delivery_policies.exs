@@ -1,9 +1,13 @@
+for file <- ~w(policies queues),
+    do: Code.require_file("delivery_policies/#{file}.exs", __DIR__)
+
 defmodule Situ.Conformance.DeliveryPolicies do
-  # Tests one queue directly, and policies in pipelines.
-  import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, ms: 1, timed: 1]
-  alias Situ.{Delivery, Message, Pipeline}
-  alias Situ.Conformance.{Facts, Formula, Text}
-  alias Situ.Delivery.Queue
+  # Policies in pipelines. One queue is tested by itself (delivery_policies/queues.exs).
+  import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, timed: 1]
+  import Situ.Conformance.DeliveryPolicies.Policies
+  alias Situ.Conformance.DeliveryPolicies.Queues
+  alias Situ.Pipeline
+  alias Situ.Conformance.{Facts, Text}
 
   defmodule Script do
     # A pull source of `{time, value}` pairs, one at a time. It reports the process in which it
@@ -31,20 +35,16 @@ defmodule Situ.Conformance.DeliveryPolicies do
   end
 
   # A fact that compares two stages, and the relation of a stage to another one.
-  @comparison ~r/^(.+?)(_(?:is_)?(?:equals?|same_as|more_than|greater_than|fewer_than|less_than|subset_of)_| ?(?:==|=|>|<) ?)(.+)$/
-  @relation ~r/^(?:the )?((?:not )?(?:same|equals?|identical)(?: as| to)?|(?:a )?(?:proper )?subset of) (stage ?\d|(?:the )?input|posted)(?: \([^()]*\))?$/
+  @words "equals?|same_as|more_than|greater_than|fewer_than|less_than|subset_of"
+  @comparison ~r/^(.+?)(_(?:is_)?(?:#{@words})_| ?(?:==|=|>|<) ?)(.+)$/
+  @context "(?:execution )?(?:context|thread|process)"
+  @first "(?:the )?(?:first|stage ?1)(?: receiver)?"
+  @relations "(?:not )?(?:same|equals?|identical)(?: as| to)?|(?:a )?(?:proper )?subset of"
+  @relation ~r/^(?:the )?(#{@relations}) (stage ?\d|(?:the )?input|posted)(?: \([^()]*\))?$/
 
   def operation?(op), do: op in ~w(delivery_queue delivery delivery.store_write)
 
-  def check(%{"op" => "delivery_queue", "params" => params} = case) do
-    policy = policy(params["policy"])
-    start = {Queue.new(policy), []}
-
-    {steps, {_queue, dropped}} =
-      Enum.map_reduce(case["expect"]["steps"], start, &step(&1, &2, policy))
-
-    all(case, %{"steps" => steps, "dropped" => Enum.map(dropped, & &1.data)})
-  end
+  def check(%{"op" => "delivery_queue"} = case), do: Queues.check(case)
 
   # A chain of stages, one per policy, behind the given messages or a timer.
   def check(%{"op" => "delivery", "params" => params, "expect" => expect} = case) do
@@ -176,10 +176,9 @@ defmodule Situ.Conformance.DeliveryPolicies do
     alone? = fn kind -> length(contexts.(kind)) == 1 end
 
     told(text, [
-      {~r/(?:the )?(?:second|stage ?2)(?: receiver)? .*in the same (?:execution )?(?:context|thread|process) as (?:the )?(?:first|stage ?1)(?: receiver)?/,
+      {~r/(?:the )?(?:second|stage ?2)(?: receiver)? .*in the same #{@context} as #{@first}/,
        alone?.(["stage1", "stage2"])},
-      {~r/.*in the same (?:execution )?(?:context|thread|process)/,
-       alone?.([:source, "stage1", "stage2"])}
+      {~r/.*in the same #{@context}/, alone?.([:source, "stage1", "stage2"])}
     ])
   end
 
@@ -187,122 +186,11 @@ defmodule Situ.Conformance.DeliveryPolicies do
   defp pause(0), do: :ok
   defp pause(ms), do: Process.sleep(ms)
 
-  # The actions of a step come from the case; everything else must be an effect of them.
-  defp step(step, {queue, dropped}, policy) do
-    {gives, queue, lost} = act(step, queue)
-
-    came = %{
-      "gives" => gives,
-      "queue_after" => waiting(queue),
-      "queue_length" => length(Queue.to_list(queue)),
-      "dropped" => Enum.map(lost, &shown/1),
-      "source_throttled" => throttled?(policy, queue),
-      "throttled" => throttled?(policy, queue),
-      "throttling" => throttled?(policy, queue),
-      "queued" => lost == [] or step["v"] not in Enum.map(lost, &shown/1),
-      "empty" => waiting(queue) == []
-    }
-
-    came = Map.merge(Map.take(step, ~w(do v t_ms now_ms)), Map.take(came, Map.keys(step)))
-    # A part that nothing answers stays different from every expectation.
-    unread = for key <- Map.keys(step) -- Map.keys(came), into: %{}, do: {key, {:unread, key}}
-    {Map.merge(came, unread), {queue, dropped ++ lost}}
-  end
-
-  defp act(%{"do" => "enqueue"} = step, queue) do
-    {queue, lost} =
-      Queue.push(queue, %Message{data: step["v"], originating_time: ms(step["t_ms"])})
-
-    {nil, queue, lost}
-  end
-
-  defp act(%{"do" => other}, _queue) when other not in ~w(enqueue enqueue_closing dequeue),
-    do: Text.unknown!("a step of a queue", other)
-
-  defp act(%{"do" => "enqueue_closing"} = step, queue) do
-    {queue, lost} = Queue.push(queue, {:closed, ms(step["t_ms"])})
-    {nil, queue, lost}
-  end
-
-  defp act(%{"do" => "dequeue"} = step, queue) do
-    {entry, queue, lost} = Queue.pop(queue, ms(step["now_ms"]))
-    {if(entry, do: shown(entry)), queue, lost}
-  end
-
-  # A producer waits while a full window of messages waits to be consumed.
-  defp throttled?(%{kind: :throttle, window: window}, queue),
-    do: length(Queue.to_list(queue)) >= window
-
-  defp throttled?(%{throttle: true, max_queue: most}, queue),
-    do: length(Queue.to_list(queue)) >= most
-
-  defp throttled?(_policy, _queue), do: false
-
   # What the source has posted: the given messages, or what a timer reported.
   defp posted(%{"inputs" => [%{"messages" => messages}]}, _got),
     do: for({_, v} <- timed(messages), do: v)
 
   defp posted(_case, got), do: for({:posted, v, _} <- got, do: v)
-
-  defp waiting(queue), do: queue |> Queue.to_list() |> Enum.map(&shown/1)
-  defp shown({:closed, _}), do: "<closing>"
-  defp shown(message), do: message.data
-
-  # "latest", "synchronous_or_throttle", "queue_size(3)", "latency_constrained(10 ms)",
-  # "queue_size_throttled(4)", "queue_size_constrained(1, throttle when full)".
-  defp policy(nil), do: Delivery.unlimited()
-
-  defp policy(text) when is_binary(text) do
-    {name, n, more} =
-      case Regex.run(~r/^(\w+)\s*\(\s*(\d+)\s*(?:ms)?\s*(?:,\s*(.*?))?\s*\)$/, text) do
-        [_, name, n | more] -> {name, String.to_integer(n), List.first(more) || ""}
-        nil -> {text, nil, ""}
-      end
-
-    cond do
-      name =~ "unlimited" -> Delivery.unlimited()
-      name =~ "synchronous" -> Delivery.synchronous()
-      name =~ "throttle" and n != nil -> Delivery.throttle(n)
-      name =~ "throttle" -> Delivery.throttle()
-      name =~ "latest" -> Delivery.latest()
-      name =~ "latency" and n != nil -> Delivery.max_latency(ms(n))
-      name =~ "queue" and n != nil -> Delivery.max_queue(n, throttle: throttle?(more))
-      true -> Text.unknown!("a delivery policy", text)
-    end
-  end
-
-  defp policy(%{} = params) do
-    throttle = Enum.find_value(params, fn {key, n} -> key =~ "throttl" and is_integer(n) && n end)
-
-    base =
-      case params do
-        _ when throttle != nil -> Delivery.throttle(throttle)
-        %{"max_queue" => n, "throttle_when_full" => true} -> Delivery.max_queue(n, throttle: true)
-        %{"max_queue" => n} when is_integer(n) -> Delivery.max_queue(n)
-        %{"max_latency_ms" => d} -> Delivery.max_latency(ms(d))
-        _ -> Delivery.unlimited()
-      end
-
-    base =
-      if params["max_queue"] && params["max_latency_ms"],
-        do: %{base | max_latency: ms(params["max_latency_ms"])},
-        else: base
-
-    guarantee(base, params["guarantee"])
-  end
-
-  # "throttle when full", "throttle_when_full=true", "true".
-  defp throttle?(text), do: text =~ ~r/throttle|^true/ and not (text =~ ~r/false$/)
-
-  defp guarantee(policy, nil), do: policy
-
-  defp guarantee(policy, text) do
-    text
-    |> String.split(", then chained: ")
-    |> Enum.reduce(policy, fn rule, policy ->
-      Delivery.with_guarantee(policy, Formula.condition(rule))
-    end)
-  end
 
   # Runs the stages as fast as possible, or for a time. Returns `{stage, value, process}` for each
   # message, and what the source reported.

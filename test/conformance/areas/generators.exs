@@ -1,10 +1,23 @@
+Code.require_file("generators/sources.exs", __DIR__)
+
 defmodule Situ.Conformance.Generators do
   import Situ.Conformance.Case
-  alias Situ.Conformance.{Facts, Formula, Run, Text}
+  import Situ.Conformance.Generators.Sources
+  alias Situ.Conformance.{Facts, Run, Text}
 
   # Ticks from year 1 to the Unix epoch. The alignments of the reference count from year 1.
   @epoch_ticks 621_355_968_000_000_000
-  @max_ticks 3_155_378_975_999_999_999
+
+  # "pipeline_start_ticks", "start_time_ms", "latency_less_than_ms".
+  @of_the_run ~r/^((?:pipeline_)?start(?:_time)?|latency_(?:less_than|below))_(ticks|us|ms|s)$/
+
+  @refused "invalid_operation|out_of_order|originating_times?_not_(strictly_)?increasing"
+  @not_increasing ~r/^(aggregate_pipeline_error\()?(#{@refused})\)?$/
+
+  # The words before and after the comparison of a message's arrival with its own time.
+  @arrival "(?:(?:the )?(?:last )?(?:creation|delivery|arrival|message)(?: time)?" <>
+             "(?: of the last message)? )?(?:is )?"
+  @own_time "(?: (?:its|the|last))* originating time"
 
   def operation?(op),
     do:
@@ -35,11 +48,25 @@ defmodule Situ.Conformance.Generators do
   def check(%{"params" => %{"enforce_replay_clock" => _}, "expect" => %{}} = case),
     do: paced(case)
 
-  # Advances the clock by a time. Returns whether the pipeline has ended, and its messages so far.
-  def check(%{"expect" => %{}} = case) do
-    case observation(case) do
-      nil -> outputs(case, run(build(case), case["params"]))
-      time -> observed(case, time)
+  # The start of the pipeline and the latency of messages are known after a run only.
+  def check(%{"expect" => %{} = expect} = case) when not is_map_key(expect, "stopped") do
+    if Enum.any?(expect, fn {key, _} -> key =~ @of_the_run end),
+      do: started_run(case),
+      else: watched(case)
+  end
+
+  def check(%{"expect" => %{}} = case), do: watched(case)
+
+  # The reference refuses an interval of 0 at its second message, as times that do not increase.
+  # Situ refuses it when the pipeline is built.
+  def check(%{"expect_error" => name, "params" => params} = case) do
+    case {interval(params) > 0, run(build(case), params)} do
+      {false, {:error, error}} when name != "argument_error" ->
+        refused? = error_fits?("argument_error", error) and name =~ @not_increasing
+        if refused?, do: :pass, else: outputs(case, {:error, error})
+
+      {_, result} ->
+        outputs(case, result)
     end
   end
 
@@ -47,6 +74,49 @@ defmodule Situ.Conformance.Generators do
 
   defp build(%{"op" => op, "params" => params}),
     do: fn p -> op |> parts() |> Enum.map(&generator(&1, p, params)) |> hd() end
+
+  # Advances the clock by a time. Returns whether the pipeline has ended, and its messages so far.
+  defp watched(case) do
+    case observation(case) do
+      nil -> outputs(case, run(build(case), case["params"]))
+      time -> observed(case, time)
+    end
+  end
+
+  # Runs without a given start, which the source may propose.
+  defp started_run(%{"params" => params, "expect" => expect} = case) do
+    me = self()
+    tag = make_ref()
+    stream = build(case)
+    given? = Enum.any?(params, fn {key, _} -> key =~ ~r/^replay_/ end)
+    settings = if given?, do: [replay: [interval: replay(params)]], else: []
+
+    {:ok, report} =
+      Situ.Pipeline.run(
+        fn p ->
+          Situ.each(stream.(p), fn v, m ->
+            send(me, {tag, {m.originating_time, v, Situ.Message.latency(m)}})
+          end)
+        end,
+        pipeline: settings
+      )
+
+    arrived = drain(tag)
+    outputs = for {time, v, _} <- arrived, do: {time, v}
+    latest = arrived |> Enum.map(&elem(&1, 2)) |> Enum.max(fn -> 0 end)
+
+    known =
+      for {key, wanted} <- expect, [_, what, unit] <- [Regex.run(@of_the_run, key)], into: %{} do
+        {key, of_the_run(what, wanted, Text.unit(unit), report.start_time, latest)}
+      end
+
+    all(case, Facts.of(expect, outputs, known))
+  end
+
+  defp of_the_run("latency" <> _, wanted, unit, _start, latest),
+    do: if(latest < wanted * unit, do: wanted, else: latest / unit)
+
+  defp of_the_run(_start, _wanted, unit, start, _latest), do: div(start, unit)
 
   # The time of observation is a parameter, or a part of the expectation ("stopped_within_ms").
   defp observation(%{"params" => params, "expect" => expect}) do
@@ -126,9 +196,9 @@ defmodule Situ.Conformance.Generators do
     arrived = if key =~ ~r/last/ or text =~ ~r/^last /, do: Enum.take(arrived, -1), else: arrived
 
     told(text, [
-      {~r/(?:(?:the )?(?:last )?(?:creation|delivery|arrival|message)(?: time)?(?: of the last message)? )?(?:is )?(?:>=|at or after|not before)(?: (?:its|the|last))* originating time/,
+      {~r/#{@arrival}(?:>=|at or after|not before)#{@own_time}/,
        arrived != [] and Enum.all?(arrived, fn {time, _, at} -> at >= time end)},
-      {~r/(?:(?:the )?(?:last )?(?:creation|delivery|arrival|message)(?: time)?(?: of the last message)? )?(?:is )?(?:<|before)(?: (?:its|the|last))* originating time/,
+      {~r/#{@arrival}(?:<|before)#{@own_time}/,
        arrived != [] and Enum.all?(arrived, fn {time, _, at} -> at < time end)}
     ])
   end
@@ -158,17 +228,6 @@ defmodule Situ.Conformance.Generators do
       {~r/.*(?:congruent|aligned|equal) to .*(?:modulo|mod) .*/,
        fn _ -> all.(&(Integer.mod(&1 - align, interval(params)) == 0)) end}
     ])
-  end
-
-  # "repeat keep_open + once": generators and their properties.
-  defp parts(op) do
-    for part <- String.split(op, "+") do
-      [kind | flags] = String.split(part)
-      [kind | more] = String.split(kind, ".")
-      flags = flags ++ more
-      open = if "keep_open" in flags, do: [keep_open: true], else: []
-      {kind, if("infinite" in flags, do: [count: :infinity], else: []) ++ open}
-    end
   end
 
   defp run(build, params) do
@@ -209,76 +268,4 @@ defmodule Situ.Conformance.Generators do
 
   # "A multiple of 10 ms" counts from year 1 in the reference, like alignments.
   defp origin(_align), do: ticks(-@epoch_ticks)
-
-  defp generator({"sequence", _flags}, p, %{"items" => _} = params), do: items(p, params)
-
-  defp generator({"sequence", flags}, p, params) do
-    next = Formula.of_one(params["next"])
-
-    Situ.sequence(
-      p,
-      params["initial"] || 0,
-      next,
-      [every: interval(params)] ++ options(params, flags)
-    )
-  end
-
-  defp generator({"range", flags}, p, params) do
-    {count, flags} = Keyword.pop(flags, :count, Map.get(params, "count", 10))
-    flags = params |> Map.delete("count") |> options(flags)
-    start = params["start"] || 0
-    range(p, start, if(count == nil, do: :infinity, else: count), params, flags)
-  end
-
-  # Clock ticks, counted from the start.
-  defp generator({"timer", _flags}, p, params), do: Situ.timer(p, every: interval(params))
-
-  defp generator({"repeat", flags}, p, params),
-    do:
-      Situ.repeat(
-        p,
-        Map.get(params, "value", 1),
-        [every: interval(params)] ++ options(params, flags)
-      )
-
-  defp generator({"return", _flags}, p, params), do: Situ.return(p, Map.get(params, "value", 1))
-
-  defp generator({"once", _flags}, p, params),
-    do: Situ.return(p, Map.get(params, "value", 1), keep_open: true)
-
-  defp range(p, start, :infinity, params, flags),
-    do: Situ.sequence(p, start, &(&1 + 1), [every: interval(params)] ++ flags)
-
-  defp range(p, start, count, params, flags) do
-    Situ.from_enumerable(p, start..(start + count - 1)//1, [every: interval(params)] ++ flags)
-  end
-
-  # Values with a fixed interval, or with their own times.
-  defp items(p, params) do
-    opts = params |> Map.delete("count") |> options([])
-
-    case params["items"] do
-      [%{} | _] = items -> Situ.from_enumerable(p, timed(items), started(params) ++ opts)
-      [] -> Situ.from_enumerable(p, [], opts)
-      items -> Situ.from_enumerable(p, value(items), [every: interval(params)] ++ opts)
-    end
-  end
-
-  defp started(params),
-    do: if(start = duration(params, "start_time"), do: [start: start], else: [])
-
-  defp interval(params), do: duration(params, "interval") || ms(1)
-
-  defp options(params, flags) do
-    count = if params["count"] == nil, do: [], else: [count: params["count"]]
-    keep_open = if params["keep_open"], do: [keep_open: true], else: []
-    align = if align(params) == nil, do: [], else: [align: align(params)]
-    Keyword.merge(count ++ keep_open ++ align, flags)
-  end
-
-  defp align(%{"align_to" => "year 1" <> _}), do: ticks(-@epoch_ticks)
-  defp align(%{"align_to" => "min" <> _}), do: ticks(-@epoch_ticks)
-  defp align(%{"align_to" => "max" <> _}), do: ticks(@max_ticks - @epoch_ticks)
-  defp align(%{"align_to" => text}) when is_binary(text), do: Text.duration!(text)
-  defp align(params), do: duration(params, "align_to")
 end

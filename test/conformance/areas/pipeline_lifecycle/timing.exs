@@ -112,7 +112,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Timing do
       )
 
     until_running(pid)
-    seen = for _ <- 1..6, do: Process.sleep(20) && Pipeline.progress(pid)
+    seen = seen(pid, 6)
     {:ok, report} = if stop, do: Pipeline.await(pid, 30_000), else: Pipeline.stop(pid)
     all = seen ++ [report.snapshot.progress]
 
@@ -142,5 +142,15 @@ defmodule Situ.Conformance.PipelineLifecycle.Timing do
     before = System.os_time()
     now = Situ.Clock.now(clock)
     div(before + (time - now), 50_000_000)
+  end
+
+  # The progress, up to `n` times, until the pipeline has ended.
+  defp seen(_pid, 0), do: []
+
+  defp seen(pid, n) do
+    Process.sleep(20)
+    [Pipeline.progress(pid) | seen(pid, n - 1)]
+  rescue
+    Situ.Error -> []
   end
 end
