@@ -10,6 +10,7 @@ defmodule Situ.Conformance do
 
   alias Situ.Conformance.Text.UnknownForm
 
+  @patience_ms 90_000
   @folder Path.join(__DIR__, "areas")
 
   # Maps a name to the module of areas/NAME.exs, or to the reason why there is none.
@@ -249,7 +250,18 @@ defmodule Situ.Conformance do
     end
   end
 
+  # Each case runs in a process of its own, so that none sees the messages of another, and a case
+  # that does not end fails.
   defp checked(module, case) do
+    task = Task.async(fn -> judge(module, case) end)
+
+    case Task.yield(task, @patience_ms) || Task.shutdown(task, :brutal_kill) do
+      {:ok, verdict} -> verdict
+      _ -> {:fail, expectation(case), "no result within #{div(@patience_ms, 1_000)} s"}
+    end
+  end
+
+  defp judge(module, case) do
     case module.check(case) do
       {:fail, expected, got} -> {:fail, expected, unknown_form(got) || got}
       verdict -> verdict

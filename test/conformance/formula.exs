@@ -25,6 +25,7 @@ defmodule Situ.Conformance.Formula do
   def of_one(text) do
     function = function(text)
     names = names(text)
+    if length(names) > 1, do: Situ.Conformance.Text.unknown!("a formula of one value", text)
     fn value -> function.(Map.new(names, &{&1, value})) end
   end
 

@@ -237,8 +237,25 @@ defmodule Situ.Conformance.Generators do
     end)
   end
 
-  defp replay(params),
-    do: {duration(params, "replay_start") || 0, duration(params, "replay_end") || :unbounded}
+  # "replay_end_ms", {"replay": {"end_ms": 100}} or "replay_interval_ms": [0, 100].
+  defp replay(params) do
+    for {"replay" <> _ = key, value} <- params,
+        not (key =~ ~r/^replay$|^replay_(start|end|interval)_(ticks|us|ms|s)$/),
+        do: Text.unknown!("a replay", {key, value})
+
+    inner = if is_map(params["replay"]), do: params["replay"], else: %{}
+    [from, to] = replay_interval(params) || [duration(inner, "start"), duration(inner, "end")]
+
+    {duration(params, "replay_start") || from || 0,
+     duration(params, "replay_end") || to || :unbounded}
+  end
+
+  defp replay_interval(params) do
+    Enum.find_value(params, fn {key, ends} ->
+      with [_, unit] <- Regex.run(~r/^replay_interval_(ticks|us|ms|s)$/, key),
+           do: Enum.map(ends, &(&1 && &1 * Text.unit(unit)))
+    end)
+  end
 
   # The first messages as text: "t_ms = v = 0..399", "value 123 at t_ms 0..399".
   defp first(text, "first_" <> n, outputs) do

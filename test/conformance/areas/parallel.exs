@@ -5,7 +5,7 @@ defmodule Situ.Conformance.Parallel do
   for file <- ~w(operators windows), do: Code.require_file("#{file}.exs", __DIR__)
 
   # "window [-10 ms, 20 ms]", "sum over the window (-10 ms, 20 ms)", "window from -10 to 20 ms as a list".
-  @windowed ~r/^(?:(\w+) (?:over|of) (?:the |a )?)?(?:time |relative )?window(?: of)?\s*(?:from )?(.+?)(?: as a list)?$/
+  @windowed ~r/^(?:(\w+) (?:over|of) (?:the |a )?)?(?:time |relative )?window(?: of)?\s*(?:from )?(.+?)(?: as a list|,? \(?(?:both |ends )*(?:included|inclusive)\)?)?$/
 
   def check(%{"op" => "parallel.*", "expect" => expect}) do
     me = self()
@@ -25,7 +25,7 @@ defmodule Situ.Conformance.Parallel do
   def check(%{"op" => "parallel." <> form, "params" => params} = case) do
     build = fn [stream] ->
       stream
-      |> Situ.parallel(&branch(params["branch"], &1), options(form, params))
+      |> Situ.parallel(&branch(branch_of(params), &1), options(form, params))
       |> combined(params["output"] || params["then"])
     end
 
@@ -69,10 +69,18 @@ defmodule Situ.Conformance.Parallel do
   defp form("sparse" <> _, _params), do: [of: :maps]
   defp form(other, _params), do: Text.unknown!("a form of parallel", other)
 
+  # A window may have its ends in the parameters of the case.
+  defp branch_of(%{"branch" => text} = params) when text in ["window", "time window"],
+    do: %{"window" => params}
+
+  defp branch_of(params), do: params["branch"]
+
   # Branches as described in the files: "v / 100", "aggregate from 0: v - previous", "keep even
   # values only", "last", "window [-10 ms, 20 ms]", or an operation with its parameters.
-  defp branch(%{"op" => "window.time"} = window, stream) do
-    params = window["params"] || %{}
+  defp branch(%{"op" => "window.time"} = window, stream),
+    do: branch(%{"window" => window["params"] || %{}}, stream)
+
+  defp branch(%{"window" => %{} = params}, stream) do
     Situ.window(stream, Windows.window(params), Windows.selector(params))
   end
 
@@ -113,8 +121,15 @@ defmodule Situ.Conformance.Parallel do
       [_, "first" | n] -> Situ.first(stream, many(n))
       [_, "last" | n] -> Situ.last(stream, many(n))
       [_, kind] -> apply(Situ, String.to_existing_atom(kind), [stream])
-      nil -> Situ.map(stream, Formula.of_one(text))
+      nil -> Situ.map(stream, formula(text))
     end
+  end
+
+  # A single word is the name of something else, and not of a value.
+  defp formula(text) do
+    if text =~ ~r/^\w{2,}$/ and text not in ["value"],
+      do: Text.unknown!("a branch", text),
+      else: Formula.of_one(text)
   end
 
   defp many([]), do: 1

@@ -32,7 +32,7 @@ defmodule Situ.Conformance.Windows do
   def window(%{"interval" => text}) when is_binary(text), do: relative(text)
 
   def window(p) do
-    {from, to} = {duration(p, "from") || :unbounded, duration(p, "to") || :unbounded}
+    {from, to} = {bound(p, "from", p), bound(p, "to", p)}
 
     Interval.new(
       from,
@@ -52,7 +52,7 @@ defmodule Situ.Conformance.Windows do
   defp absolute(%{"interval" => text}, _params) when is_binary(text), do: relative(text)
 
   defp absolute(w, p) do
-    {from, to} = {at(w, "from"), at(w, "to")}
+    {from, to} = {bound(w, "from", p), bound(w, "to", p)}
 
     Interval.new(
       from,
@@ -62,8 +62,16 @@ defmodule Situ.Conformance.Windows do
     )
   end
 
+  # An end is unbounded if it says so itself, or is declared so ("from_bounded": false).
+  defp bound(map, side, params) do
+    if map[side <> "_bounded"] == false or params[side <> "_bounded"] == false,
+      do: :unbounded,
+      else: at(map, side)
+  end
+
   defp at(map, key) do
-    case {duration(map, key), Enum.find(map, fn {k, _} -> String.starts_with?(k, key) end)} do
+    case {duration(map, key),
+          Enum.find(map, fn {k, _} -> k == key or k =~ ~r/^#{key}_(ticks|us|ms|s)$/ end)} do
       {nil, {_, other}} when other in @unbounded -> :unbounded
       {nil, nil} -> :unbounded
       {nil, {_, other}} -> Text.unknown!("the end of a window", other)

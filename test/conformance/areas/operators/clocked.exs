@@ -4,9 +4,10 @@ defmodule Situ.Conformance.Operators.Clocked do
   alias Situ.Conformance.{Facts, Formula, Text}
 
   # The words around the comparison of a delay.
-  @delay "creation(?: time)? ?(?:-|minus) ?originating(?: time)?|latency|delay(?:ed)?"
+  @delay "creation(?: time)?(?: of (?:the |each )?(?:output|message))?" <>
+           "(?: ?(?:-|minus) ?originating(?: time)?)?|latency|delay(?:ed)?|delivered"
   @before "^(?:each |every )?(?:#{@delay})? ?(?:is |by )?"
-  @behind " (?:after|later than) (?:its|their|the) (?:creation|originating|original)(?: times?)?$"
+  @behind " (?:after|later than) (?:its|their|the) (?:creation|originating|original)(?: times?)?$| for (?:every|each) message$"
   @about_delays ~r/#{@before}|#{@behind}/
 
   # Runs in real time until all messages have arrived. Checks their values and times, and that
@@ -111,7 +112,7 @@ defmodule Situ.Conformance.Operators.Clocked do
           do: got == messages,
           else: meant(wanted, ~r/same|unchanged|kept|equal|own/, got == messages)
 
-      key =~ ~r/delay|latenc|creation|each|every/ ->
+      key =~ ~r/delay|latenc|creation|each|every|property/ ->
         late(key, wanted, latencies)
 
       true ->

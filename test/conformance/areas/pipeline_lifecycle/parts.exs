@@ -51,7 +51,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
     got = drain(tag)
 
     if is_map(expect),
-      do: all(case, Facts.of(expect, got, %{"completed" => completed?, "stopped" => completed?})),
+      do: all(case, Facts.of(expect, got, ended(expect, completed?))),
       else: verdict({true, values(expect)}, {completed?, Enum.map(got, &elem(&1, 1))})
   end
 
@@ -87,6 +87,16 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
     all(case, Facts.of(case["expect"], got, known))
   end
 
+  # "completed", "completed_by_itself", "stopped" ...
+  defp ended(expect, completed?),
+    do:
+      for(
+        {key, _} <- expect,
+        key =~ ~r/^(completed|stopped|ended)/,
+        into: %{},
+        do: {key, completed?}
+      )
+
   defp part(p, source, []), do: Situ.composite(p, "Sub", source)
 
   defp part(p, source, functions) do
@@ -104,6 +114,8 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
   end
 
   defp numbers(%{"values" => values}), do: values
+  defp numbers(%{"range" => [from, to]}), do: Enum.to_list(from..to//1)
+  defp numbers(%{"finite_source" => n}) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
 
   defp numbers(%{"count" => n} = params),
     do: Enum.map(0..(n - 1)//1, &(&1 + (params["start"] || 0)))
