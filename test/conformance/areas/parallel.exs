@@ -5,7 +5,9 @@ defmodule Situ.Conformance.Parallel do
   for file <- ~w(operators windows), do: Code.require_file("#{file}.exs", __DIR__)
 
   # "window [-10 ms, 20 ms]", "sum over the window (-10 ms, 20 ms)", "window from -10 to 20 ms as a list".
-  @windowed ~r/^(?:(\w+) (?:over|of) (?:the |a )?)?(?:time |relative )?window(?: of)?\s*(?:from )?(.+?)(?: as a list|,? \(?(?:both |ends )*(?:included|inclusive)\)?)?$/
+  @selector "(?:(\\w+) (?:over|of) (?:the |a )?)?"
+  @manner " as a list|,? \\(?(?:both |ends )*(?:included|inclusive)\\)?"
+  @windowed ~r/^#{@selector}(?:time |relative )?window(?: of)?\s*(?:from )?(.+?)(?:#{@manner})?$/
 
   def check(%{"op" => "parallel.*", "expect" => expect}) do
     me = self()

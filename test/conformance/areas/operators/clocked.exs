@@ -7,7 +7,8 @@ defmodule Situ.Conformance.Operators.Clocked do
   @delay "creation(?: time)?(?: of (?:the |each )?(?:output|message))?" <>
            "(?: ?(?:-|minus) ?originating(?: time)?)?|latency|delay(?:ed)?|delivered"
   @before "^(?:each |every )?(?:#{@delay})? ?(?:is |by )?"
-  @behind " (?:after|later than) (?:its|their|the) (?:creation|originating|original)(?: times?)?$| for (?:every|each) message$"
+  @times "(?:creation|originating|original)(?: times?)?"
+  @behind " (?:after|later than) (?:its|their|the) #{@times}$| for (?:every|each) message$"
   @about_delays ~r/#{@before}|#{@behind}/
 
   # Runs in real time until all messages have arrived. Checks their values and times, and that
