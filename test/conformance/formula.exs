@@ -15,14 +15,17 @@ defmodule Situ.Conformance.Formula do
 
   # Returns a function of a map from names to values.
   def function(text) do
-    {tree, []} = text |> tokens() |> disjunction()
-    fn values -> value(tree, values) end
+    case is_binary(text) and text |> tokens() |> disjunction() do
+      {tree, []} -> fn values -> value(tree, values) end
+      _ -> Situ.Conformance.Text.unknown!("a formula", text)
+    end
   end
 
   # Returns a function of the only value in a formula, independent of its name.
   def of_one(text) do
     function = function(text)
     names = names(text)
+    if length(names) > 1, do: Situ.Conformance.Text.unknown!("a formula of one value", text)
     fn value -> function.(Map.new(names, &{&1, value})) end
   end
 
@@ -81,7 +84,7 @@ defmodule Situ.Conformance.Formula do
         ]
 
       _ ->
-        raise ArgumentError, "not a formula: #{inspect(whole)}, at #{inspect(text)}"
+        Situ.Conformance.Text.unknown!("a formula", {whole, :at, text})
     end
   end
 
@@ -165,6 +168,7 @@ defmodule Situ.Conformance.Formula do
     do: {{:text, %{"true" => true, "false" => false, "null" => nil}[word]}, rest}
 
   defp unary([{kind, _} = leaf | rest]) when kind in [:number, :name, :text], do: {leaf, rest}
+  defp unary(tokens), do: Situ.Conformance.Text.unknown!("the end of a formula", tokens)
 
   defp arguments(tokens) do
     case disjunction(tokens) do

@@ -12,7 +12,7 @@ defmodule Situ.ConformanceTest do
 
   for file <- Situ.Conformance.files(),
       area = Path.basename(file, ".json"),
-      area in @areas or area in ~w(situ_model situ_rules) do
+      area in @areas or area in ~w(situ_model situ_rules situ_forms) do
     test "every case of #{area} passes" do
       verdicts = Situ.Conformance.verdicts(unquote(file))
       assert verdicts != []
@@ -52,8 +52,47 @@ defmodule Situ.ConformanceTest do
     assert {:fail, 1, "this form of pair cannot be read" <> _} =
              verdict.(~s({"cases": [{"op": "pair", "inputs": [{}], "expect": 1}]}))
 
+    assert {:fail, 1, "no rule reads fuse.other with the parameters [\"x\"]" <> _} =
+             verdict.(~s({"cases": [{"op": "fuse.other", "params": {"x": 1}, "expect": 1}]}))
+
     assert {:fail, _, "it cannot be read" <> _} =
              dir |> Situ.Conformance.verdicts() |> hd() |> elem(1)
+  end
+
+  test "an unknown part of a case fails with its text, whatever the case expects" do
+    verdict = fn op, params, expect ->
+      inputs = [%{"messages" => [%{"t_ms" => 0, "v" => 1}]}]
+      case = Map.merge(%{"op" => op, "params" => params, "inputs" => inputs}, expect)
+      Situ.Conformance.verdict(nil, case)
+    end
+
+    for expect <- [%{"expect" => 1}, %{"expect_error" => "argument_error"}] do
+      assert {:fail, _, "the selector of a window is not understood: \"median\""} =
+               verdict.("window.index", %{"from" => 0, "to" => 0, "selector" => "median"}, expect)
+
+      assert {:fail, _, "a formula is not understood: \"v plus one\""} =
+               verdict.("select", %{"function" => "v plus one"}, expect)
+    end
+
+    assert {:fail, _, "no rule reads these parts of the expectation: {\"colour\", \"blue\"}"} =
+             verdict.("first", %{}, %{"expect" => %{"colour" => "blue"}})
+  end
+
+  test "reads intervals, ranges and comparisons as texts" do
+    alias Situ.Conformance.Text
+
+    assert {-10_000_000, true, 20_000_000, false} = Text.interval!("[-10, 20 ms)")
+    assert {:unbounded, false, 0, true} = Text.interval!("past")
+    assert [0, 1, 2] = Text.range("0..2")
+
+    for {text, number, holds?} <- [
+          {">= 3", 3, true},
+          {"fewer than 3 messages", 3, false},
+          {"between 1 and 3", 2, true},
+          {"1..3", 4, false},
+          {">= 3_changed", 3, nil}
+        ],
+        do: assert({text, Text.compare(text, number)} == {text, holds?})
   end
 
   test "takes the area from the file's name or derives it from the operation" do

@@ -1,9 +1,13 @@
+for file <- ~w(policies queues),
+    do: Code.require_file("delivery_policies/#{file}.exs", __DIR__)
+
 defmodule Situ.Conformance.DeliveryPolicies do
-  # Tests one queue directly, and policies in pipelines.
-  import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, ms: 1, timed: 1]
-  alias Situ.{Delivery, Message, Pipeline}
-  alias Situ.Conformance.Formula
-  alias Situ.Delivery.Queue
+  # Policies in pipelines. One queue is tested by itself (delivery_policies/queues.exs).
+  import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, timed: 1]
+  import Situ.Conformance.DeliveryPolicies.Policies
+  alias Situ.Conformance.DeliveryPolicies.Queues
+  alias Situ.Pipeline
+  alias Situ.Conformance.{Facts, Text}
 
   defmodule Script do
     # A pull source of `{time, value}` pairs, one at a time. It reports the process in which it
@@ -30,63 +34,29 @@ defmodule Situ.Conformance.DeliveryPolicies do
       do: {[{:out, time, value}], {rest, report}}
   end
 
+  # A fact that compares two stages, and the relation of a stage to another one.
+  @words "equals?|same_as|more_than|greater_than|fewer_than|less_than|subset_of"
+  @comparison ~r/^(.+?)(_(?:is_)?(?:#{@words})_| ?(?:==|=|>|<) ?)(.+)$/
+  @context "(?:execution )?(?:context|thread|process)"
+  @first "(?:the )?(?:first|stage ?1)(?: receiver)?"
+  @relations "(?:not )?(?:same|equals?|identical)(?: as| to)?|(?:a )?(?:proper )?subset of"
+  @relation ~r/^(?:the )?(#{@relations}) (stage ?\d|(?:the )?input|posted)(?: \([^()]*\))?$/
+
   def operation?(op), do: op in ~w(delivery_queue delivery delivery.store_write)
 
-  def check(%{"op" => "delivery_queue", "params" => params} = case) do
-    policy = policy(params["policy"])
-    start = {Queue.new(policy), []}
+  def check(%{"op" => "delivery_queue"} = case), do: Queues.check(case)
 
-    {steps, {_queue, dropped}} =
-      Enum.map_reduce(case["expect"]["steps"], start, &step(&1, &2, policy))
+  # A chain of stages, one per policy, behind the given messages or a timer.
+  def check(%{"op" => "delivery", "params" => params, "expect" => expect} = case) do
+    stages = stages(params)
+    got = run(case, stages)
+    last = stages |> List.last() |> elem(0)
 
-    all(case, %{"steps" => steps, "dropped" => Enum.map(dropped, & &1.data)})
-  end
+    received =
+      for {stage, _, _} <- stages, into: %{}, do: {stage, for({^stage, v, _} <- got, do: v)}
 
-  # A chain of stages, one per policy.
-  def check(%{"op" => "delivery", "params" => %{"policies" => names} = params} = case) do
-    stages = for {name, i} <- Enum.with_index(names, 1), do: {"stage#{i}", policy(name)}
-
-    got =
-      run(case, [speed: :max], fn stream, tell ->
-        Enum.reduce(stages, stream, fn {stage, policy}, stream ->
-          takes = params[stage <> "_takes_ms"] || 0
-          Situ.each(stream, &(tell.({stage, &1, self()}) && pause(takes)), policy: policy)
-        end)
-      end)
-
-    values = Map.new(stages, fn {stage, _} -> {stage, for({^stage, v, _} <- got, do: v)} end)
-    contexts = got |> Enum.map(&context/1) |> Enum.uniq()
-
-    execution =
-      told(case["expect"]["execution"] || "", [
-        {~r/.*in the same (?:execution )?(?:context|thread|process)/, length(contexts) == 1}
-      ])
-
-    all(case, Map.merge(values, %{"execution" => execution, "dropped" => lost(case, values)}))
-  end
-
-  def check(%{"op" => "delivery", "params" => params} = case) do
-    policy = params["policy"] |> policy() |> guarantee(params["guarantee"])
-    takes = params["receiver_takes_ms"] || 0
-    observe = params["observe_ms"]
-
-    got =
-      run(case, [speed: 1.0, observe: observe], fn stream, tell ->
-        Situ.each(stream, fn v -> tell.({:got, v, self()}) && pause(takes) end, policy: policy)
-      end)
-
-    received = for {:got, v, _} <- got, do: v
-    includes = case["expect"]["received_includes"]
-    includes = if is_list(includes) and includes -- received == [], do: includes, else: received
-
-    all(case, %{
-      "received" => received,
-      "received_includes" => includes,
-      "count" => length(received),
-      "last" => List.last(received),
-      "unique" => Enum.uniq(received) == received,
-      "increasing" => Enum.sort(received) == received
-    })
+    values = Map.merge(received, %{"received" => received[last], "input" => posted(case, got)})
+    all(case, answers(expect, values, got))
   end
 
   def check(%{"op" => "delivery.store_write", "params" => params} = case) do
@@ -95,135 +65,172 @@ defmodule Situ.Conformance.DeliveryPolicies do
       else: {:not_applicable, "the store is not part of this build"}
   end
 
+  # Each stage has a name, a policy, and a time that its receiver takes.
+  defp stages(%{"policies" => policies} = params) do
+    for {text, i} <- Enum.with_index(policies, 1),
+        do: {"stage#{i}", policy(text), params["stage#{i}_takes_ms"] || 0}
+  end
+
+  defp stages(params) do
+    policy = params["policy"] |> policy() |> guarantee(params["guarantee"])
+    [{"stage1", policy, params["receiver_takes_ms"] || 0}]
+  end
+
+  # Facts about the stages are derived from what each of them received, in any of these forms:
+  # "stage2": [1, 2], "stage2": "same as stage1", "stage1_count": "< 10", "stage1_equals_stage2": true,
+  # "posted > stage1": true. Facts without a name are about the last stage.
+  defp answers(expect, values, got) do
+    last = for v <- values["received"], do: {0, v}
+
+    known =
+      for {key, wanted} <- expect,
+          answer = answer(key, wanted, values, got),
+          into: %{},
+          do: {key, elem(answer, 0)}
+
+    Facts.of(expect, last, known)
+  end
+
+  defp answer("execution", text, _values, got), do: {execution(text, got)}
+
+  defp answer("dropped", wanted, values, _got) when is_list(wanted),
+    do: {values["input"] -- values["received"]}
+
+  defp answer("dropped", wanted, values, _got) when is_boolean(wanted),
+    do: {values["input"] != values["received"]}
+
+  defp answer("dropped", _count, values, _got),
+    do: {length(values["input"]) - length(values["received"])}
+
+  defp answer(key, wanted, values, _got) do
+    whole = named(key, values)
+
+    cond do
+      whole && is_list(wanted) ->
+        {whole}
+
+      whole && related(wanted, whole, values) != nil ->
+        {if(related(wanted, whole, values), do: wanted, else: whole)}
+
+      whole ->
+        {length(whole)}
+
+      match = Regex.run(~r/^(\w+)_count$/, key) ->
+        counted(match, values)
+
+      match = Regex.run(@comparison, key) ->
+        compared(match, values)
+
+      true ->
+        nil
+    end
+  end
+
+  defp counted([_, name], values), do: if(list = named(name, values), do: {length(list)})
+
+  defp compared([_, a, how, b], values) do
+    with a when a != nil <- named(a, values), b when b != nil <- named(b, values) do
+      cond do
+        how =~ ~r/more|greater|>/ -> {length(a) > length(b)}
+        how =~ ~r/fewer|less|</ -> {length(a) < length(b)}
+        how =~ ~r/subset/ -> {a -- b == []}
+        true -> {a == b}
+      end
+    end
+  end
+
+  # "stage1", "stage 1", "b" (the second of a, b, c), "posted", "the input".
+  defp named(name, values) do
+    case name |> String.replace(["the ", " "], "") do
+      name when is_map_key(values, name) -> values[name]
+      name when name in ~w(posted emitted generated a A) -> values["input"]
+      name when name in ~w(b B) -> values["stage1"]
+      name when name in ~w(c C) -> values["stage2"]
+      _ -> nil
+    end
+  end
+
+  # "same as stage1", "a proper subset of the input", "not equal to the input (remark)".
+  defp related(text, list, values) when is_binary(text) do
+    with [_, relation, name] <- Regex.run(@relation, text),
+         other when other != nil <- named(name, values) do
+      cond do
+        relation =~ ~r/proper/ -> list != other and list -- other == []
+        relation =~ ~r/subset/ -> list -- other == []
+        relation =~ ~r/^not/ -> list != other
+        true -> list == other
+      end
+    else
+      _ -> nil
+    end
+  end
+
+  defp related(_text, _list, _values), do: nil
+
+  # Whether receivers run in the process of the emitter, or the second in the process of the first.
+  defp execution(text, got) do
+    contexts = fn kind ->
+      for event <- got, elem(event, 0) in kind, uniq: true, do: context(event)
+    end
+
+    alone? = fn kind -> length(contexts.(kind)) == 1 end
+
+    told(text, [
+      {~r/(?:the )?(?:second|stage ?2)(?: receiver)? .*in the same #{@context} as #{@first}/,
+       alone?.(["stage1", "stage2"])},
+      {~r/.*in the same #{@context}/, alone?.([:source, "stage1", "stage2"])}
+    ])
+  end
+
   # A pause of 0 ms must not yield the processor, as a sleep would.
   defp pause(0), do: :ok
   defp pause(ms), do: Process.sleep(ms)
 
-  # The actions of a step come from the case; everything else must be an effect of them.
-  defp step(step, {queue, dropped}, policy) do
-    {gives, queue, lost} = act(step, queue)
+  # What the source has posted: the given messages, or what a timer reported.
+  defp posted(%{"inputs" => [%{"messages" => messages}]}, _got),
+    do: for({_, v} <- timed(messages), do: v)
 
-    came = %{
-      "gives" => gives,
-      "queue_after" => waiting(queue),
-      "queue_length" => length(Queue.to_list(queue)),
-      "dropped" => Enum.map(lost, &shown/1),
-      "source_throttled" => throttled?(policy, queue),
-      "throttled" => throttled?(policy, queue)
-    }
+  defp posted(_case, got), do: for({:posted, v, _} <- got, do: v)
 
-    {Map.merge(Map.take(step, ~w(do v t_ms now_ms)), Map.take(came, Map.keys(step))),
-     {queue, dropped ++ lost}}
-  end
-
-  defp act(%{"do" => "enqueue"} = step, queue) do
-    {queue, lost} =
-      Queue.push(queue, %Message{data: step["v"], originating_time: ms(step["t_ms"])})
-
-    {nil, queue, lost}
-  end
-
-  defp act(%{"do" => "enqueue_closing"} = step, queue) do
-    {queue, lost} = Queue.push(queue, {:closed, ms(step["t_ms"])})
-    {nil, queue, lost}
-  end
-
-  defp act(%{"do" => "dequeue"} = step, queue) do
-    {entry, queue, lost} = Queue.pop(queue, ms(step["now_ms"]))
-    {if(entry, do: shown(entry)), queue, lost}
-  end
-
-  # A producer waits while a full window of messages waits to be consumed.
-  defp throttled?(%{kind: :throttle, window: window}, queue),
-    do: length(Queue.to_list(queue)) >= window
-
-  defp throttled?(_policy, _queue), do: false
-
-  defp lost(case, values) do
-    [%{"messages" => messages}] = case["inputs"]
-    last = values |> Enum.sort() |> List.last() |> elem(1)
-    for({_, v} <- timed(messages), do: v) -- last
-  end
-
-  defp waiting(queue), do: queue |> Queue.to_list() |> Enum.map(&shown/1)
-  defp shown({:closed, _}), do: "<closing>"
-  defp shown(message), do: message.data
-
-  # "latest", "synchronous_or_throttle", "queue_size(3)", "latency_constrained(10 ms)",
-  # "queue_size_throttled(4)".
-  defp policy(nil), do: Delivery.unlimited()
-
-  defp policy(text) when is_binary(text) do
-    {name, n} =
-      case Regex.run(~r/^(\w+)\s*\(\s*(\d+)\s*(?:ms)?\s*\)$/, text) do
-        [_, name, n] -> {name, String.to_integer(n)}
-        nil -> {text, nil}
-      end
-
-    cond do
-      name =~ "unlimited" -> Delivery.unlimited()
-      name =~ "synchronous" -> Delivery.synchronous()
-      name =~ "throttle" and n != nil -> Delivery.throttle(n)
-      name =~ "throttle" -> Delivery.throttle()
-      name =~ "latest" -> Delivery.latest()
-      name =~ "latency" -> Delivery.max_latency(ms(n))
-      name =~ "queue" -> Delivery.max_queue(n)
-    end
-  end
-
-  defp policy(%{} = params) do
-    throttle = Enum.find_value(params, fn {key, n} -> key =~ "throttl" and is_integer(n) && n end)
-
-    base =
-      case params do
-        _ when throttle != nil -> Delivery.throttle(throttle)
-        %{"max_queue" => n, "throttle_when_full" => true} -> Delivery.throttle(n)
-        %{"max_queue" => n} when is_integer(n) -> Delivery.max_queue(n)
-        %{"max_latency_ms" => d} -> Delivery.max_latency(ms(d))
-        _ -> Delivery.unlimited()
-      end
-
-    base =
-      if params["max_queue"] && params["max_latency_ms"],
-        do: %{base | max_latency: ms(params["max_latency_ms"])},
-        else: base
-
-    guarantee(base, params["guarantee"])
-  end
-
-  defp guarantee(policy, nil), do: policy
-
-  defp guarantee(policy, text) do
-    text
-    |> String.split(", then chained: ")
-    |> Enum.reduce(policy, fn rule, policy ->
-      Delivery.with_guarantee(policy, Formula.condition(rule))
-    end)
-  end
-
-  defp run(%{"inputs" => [%{"messages" => messages}]}, opts, build) do
+  # Runs the stages as fast as possible, or for a time. Returns `{stage, value, process}` for each
+  # message, and what the source reported.
+  defp run(%{"params" => params} = case, stages) do
     me = self()
     tag = make_ref()
     tell = fn event -> send(me, {tag, event}) end
-    script = timed(messages)
-    settings = [replay: [interval: {0, :unbounded}, speed: opts[:speed]]]
+    observe = params["observe_ms"]
+    speed = if observe || not is_map_key(params, "policies"), do: 1.0, else: :max
 
     {:ok, pipeline} =
       Pipeline.start(
-        fn p -> p |> Situ.source(Script, messages: script, report: tell) |> build.(tell) end,
-        pipeline: settings
+        fn p -> p |> source(case, tell) |> chain(stages, tell) end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: speed]]
       )
 
-    if opts[:observe], do: Process.sleep(opts[:observe])
-
-    if opts[:observe],
-      do: Pipeline.stop(pipeline),
-      else: {:ok, _} = Pipeline.await(pipeline, 60_000)
-
+    if observe, do: Process.sleep(observe)
+    if observe, do: Pipeline.stop(pipeline), else: {:ok, _} = Pipeline.await(pipeline, 60_000)
     drain(tag)
   end
 
-  defp context({:source, pid}), do: pid
+  defp source(p, %{"inputs" => [%{"messages" => messages}]}, tell),
+    do:
+      Situ.source(p, Script,
+        messages: timed(messages),
+        report: &tell.({:source, nil, elem(&1, 1)})
+      )
+
+  defp source(p, %{"params" => params}, tell) do
+    interval = Text.duration(params, "timer") || Text.duration(params, "interval")
+    interval = interval || Text.unknown!("a source without messages or an interval", params)
+    Situ.timer(p, every: interval, fun: fn i, _time -> tell.({:posted, i, self()}) && i end)
+  end
+
+  defp chain(stream, stages, tell) do
+    Enum.reduce(stages, stream, fn {stage, policy, takes}, stream ->
+      Situ.each(stream, &(tell.({stage, &1, self()}) && pause(takes)), policy: policy)
+    end)
+  end
+
   defp context({_stage, _value, pid}), do: pid
 
   defp drain(tag) do

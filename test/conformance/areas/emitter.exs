@@ -26,6 +26,9 @@ defmodule Situ.Conformance.Emitter do
     "originating_time_not_strictly_increasing" => :time_not_increasing,
     "creation_time_went_back" => :creation_time_went_back,
     "post_from_other_component" => :unknown_output,
+    "post_across_components" => :unknown_output,
+    "post_across_async_components" => :unknown_output,
+    "post_from_another_component" => :unknown_output,
     "different_pipeline" => :different_pipeline,
     "receiver_already_connected" => :already_connected,
     "pipeline_already_running" => :pipeline_running,
@@ -68,6 +71,12 @@ defmodule Situ.Conformance.Emitter do
     {result, delivered} = collect(fn p -> Situ.source(p, Script, actions: actions) end)
     outcome(case, result, %{"delivered" => delivered})
   end
+
+  # Nothing outside of a component has an output to post on.
+  def check(%{"op" => "post", "inputs" => [], "expect_error" => "post_outside" <> _}),
+    do:
+      {:not_applicable,
+       "components post by returning actions: there is no way to post from outside"}
 
   # Posts on another component's output, which is not allowed.
   def check(%{"op" => "post", "expect_error" => _} = case) do

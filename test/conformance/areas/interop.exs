@@ -3,6 +3,9 @@ defmodule Situ.Conformance.Interop do
   # sockets and datagrams must return the data that was written.
   import Situ.Conformance.Case
   alias Situ.Bridge.{Datagram, Format, ZeroMQ}
+  alias Situ.Conformance.{Facts, Text}
+
+  @interleaved ~r/interleav|alternat|in turn/
 
   def operation?("format." <> name), do: format(name) != nil
   def operation?(op), do: op in ~w(file_write_then_read zeromq datagram_chunks)
@@ -95,15 +98,15 @@ defmodule Situ.Conformance.Interop do
           replay
         )
 
-      got = Situ.to_list(fn p -> Situ.Bridge.File.read(p, path, format: format) end)
-      verdict(Enum.map(expect["values"], &value/1), got)
+      read = fn p -> Situ.Bridge.File.read(p, path, format: format) end
+      all(%{"expect" => expect}, Facts.of(expect, Situ.to_list(read, [times: true] ++ replay)))
     after
       File.rm(path)
     end
   end
 
   defp written(p, %{"values" => values}, interval),
-    do: Situ.from_enumerable(p, values, every: interval)
+    do: Situ.from_enumerable(p, Text.range(values), every: interval)
 
   defp written(p, params, interval),
     do: Situ.from_enumerable(p, 0..(params["count"] - 1)//1, every: interval)
@@ -191,21 +194,23 @@ defmodule Situ.Conformance.Interop do
 
   defp datagrams(params, expect) do
     most = params["max_datagram_bytes"]
-    sizes = params["payloads_bytes"] || [params["payload_bytes"]]
 
     payloads =
-      for {size, i} <- Enum.with_index(sizes),
+      for {size, i} <- Enum.with_index(sizes(params)),
           do: :binary.copy(<<i + 1, i + 7>>, div(size, 2) + 1) |> binary_part(0, size)
 
     sets =
       for {payload, i} <- Enum.with_index(payloads, 1),
           do: Datagram.split_payload(payload, i, most)
 
-    sent = sets |> lost(params["lost"]) |> arriving(params["arrival"] || "in order")
+    sent =
+      sets
+      |> lost(params["lost"] || params["lost_chunk"])
+      |> arriving(params["arrival"] || "in order")
 
     # A receiver with room for one set loses interleaved sets, which these cases are about.
     open =
-      if to_string(params["arrival"]) =~ "interleav",
+      if to_string(params["arrival"]) =~ @interleaved,
         do: [open: params["sets_at_once"] || 1],
         else: []
 
@@ -218,9 +223,12 @@ defmodule Situ.Conformance.Interop do
     whole = Enum.reject(got, &is_nil/1)
 
     result = %{
-      "chunks" => length(hd(sets)),
+      "chunks" => sets |> Enum.concat() |> length(),
       "chunks_received" => state.received,
       "payload_equal" => whole == payloads,
+      "payload" => meant(expect["payload"], ~r/equal|same|whole|identical/, whole == payloads),
+      "complete" => whole != [],
+      "completed" => whole != [],
       "complete_on_last_chunk" => List.last(got) != nil,
       "completed_payload" => Enum.find_index(payloads, &(&1 in whole)) |> then(&(&1 && &1 + 1)),
       "completed_payloads" => length(whole),
@@ -228,21 +236,45 @@ defmodule Situ.Conformance.Interop do
       "sets_abandoned" => state.abandoned
     }
 
-    verdict(expect, Map.take(result, Map.keys(expect)))
+    all(%{"expect" => expect}, result)
   end
+
+  # One payload, several of one size, or several sizes.
+  defp sizes(%{"payloads_bytes" => sizes}), do: sizes
+
+  defp sizes(%{"payload_bytes" => size} = params),
+    do: List.duplicate(size, params["payloads"] || 1)
+
+  defp sizes(params), do: Text.unknown!("the size of a payload", params)
 
   @ordinals ~w(first second third fourth fifth sixth seventh eighth ninth tenth)
 
-  # "the eighth chunk of the first payload"
+  # "the eighth chunk of the first payload", "chunk 8 of payload 1", or a number: a chunk of the first.
   defp lost(sets, nil), do: sets
+  defp lost(sets, n) when is_integer(n), do: List.update_at(sets, 0, &List.delete_at(&1, n - 1))
 
   defp lost(sets, text) do
-    [_, chunk, payload] = Regex.run(~r/the (\w+) chunk of the (\w+) payload/, text)
-    List.update_at(sets, place(payload), &List.delete_at(&1, place(chunk)))
+    case Regex.run(
+           ~r/^(?:the )?(?:(\w+) chunk|chunk (\d+)) of (?:the )?(?:(\w+) payload|payload (\d+))$/,
+           text
+         ) do
+      [_ | words] ->
+        [chunk, payload] = Enum.reject(words, &(&1 == ""))
+        List.update_at(sets, place(payload), &List.delete_at(&1, place(chunk)))
+
+      nil ->
+        Text.unknown!("a lost chunk", text)
+    end
   end
 
   defp place("last"), do: -1
-  defp place(word), do: Enum.find_index(@ordinals, &(&1 == word))
+
+  defp place(word) do
+    case Integer.parse(word) do
+      {n, _} -> n - 1
+      :error -> Enum.find_index(@ordinals, &(&1 == word)) || Text.unknown!("an ordinal", word)
+    end
+  end
 
   defp arriving(sets, how) do
     cond do
@@ -259,8 +291,11 @@ defmodule Situ.Conformance.Interop do
       how =~ ~r/duplicat|twice/ ->
         sets |> Enum.map(fn set -> Enum.flat_map(set, &[&1, &1]) end) |> Enum.concat()
 
-      how =~ ~r/interleav|alternat/ ->
+      how =~ @interleaved ->
         sets |> Enum.zip() |> Enum.flat_map(&Tuple.to_list/1)
+
+      true ->
+        Text.unknown!("an order of arrival", how)
     end
   end
 end

@@ -39,13 +39,16 @@ defmodule Situ.Conformance.Interpolators do
   # default.
   def of_params(%{"interpolator" => %{} = spec}, _default), do: build(spec["kind"], spec)
   def of_params(%{"interpolator" => kind}, _default) when is_binary(kind), do: build(kind, %{})
-  def of_params(%{"tolerance_ms" => n}, _default), do: Reproducible.nearest(ms(n))
-  def of_params(%{"tolerance_ticks" => n}, _default), do: Reproducible.nearest(ticks(n))
 
   def of_params(%{"window" => window}, _default) when window != nil,
     do: Reproducible.nearest(window(window))
 
-  def of_params(_params, default), do: build(default, %{})
+  def of_params(params, default),
+    do:
+      if(span = duration(params, "tolerance"),
+        do: Reproducible.nearest(span),
+        else: build(default, %{})
+      )
 
   # The ends are in ticks or ms, as text, or in interval notation in ticks.
   def window(nil), do: nil
@@ -55,9 +58,15 @@ defmodule Situ.Conformance.Interpolators do
   def window("zero" <> _), do: Interval.zero()
 
   def window(text) when is_binary(text) do
-    {:ok, interval} = Interval.parse(text)
-    scale = &if(&1 == :unbounded, do: &1, else: ticks(&1))
-    %{interval | left: scale.(interval.left), right: scale.(interval.right)}
+    case Interval.parse(text) do
+      {:ok, interval} ->
+        scale = &if(&1 == :unbounded, do: &1, else: ticks(&1))
+        %{interval | left: scale.(interval.left), right: scale.(interval.right)}
+
+      {:error, _} ->
+        {left, left_in?, right, right_in?} = Situ.Conformance.Text.interval!(text)
+        Interval.new(left, left_in?, right, right_in?)
+    end
   end
 
   def window(%{} = w) do
@@ -71,26 +80,23 @@ defmodule Situ.Conformance.Interpolators do
     )
   end
 
-  defp tolerance(%{"tolerance_ms" => n}), do: Interval.within(ms(n))
-  defp tolerance(%{"tolerance_ticks" => n}), do: Interval.within(ticks(n))
-  defp tolerance(_params), do: nil
+  defp tolerance(params),
+    do: if(span = duration(params, "tolerance"), do: Interval.within(span))
 
-  defp max_span(%{"max_span_ms" => n}), do: [max_span: ms(n)]
-  defp max_span(%{"max_span_ticks" => n}), do: [max_span: ticks(n)]
-  defp max_span(_params), do: []
+  defp max_span(params),
+    do: if(span = duration(params, "max_span"), do: [max_span: span], else: [])
 
   defp edge(w, side) do
     cond do
       w[side <> "_bounded"] == false or w[side] == "unbounded" -> :unbounded
-      Map.has_key?(w, side <> "_ms") -> ms(w[side <> "_ms"])
-      true -> duration(w[side <> "_ticks"])
+      span = duration(w, side) -> span
+      true -> extreme(w[side <> "_ticks"])
     end
   end
 
-  defp duration("min"), do: -@max - 1
-  defp duration("max"), do: @max
-  defp duration(nil), do: :unbounded
-  defp duration(n), do: ticks(n)
+  defp extreme("min"), do: -@max - 1
+  defp extreme("max"), do: @max
+  defp extreme(nil), do: :unbounded
 
   defp split(kind) do
     [family, name] =

@@ -1,6 +1,7 @@
 defmodule Situ.Conformance.Intervals do
-  import Situ.Conformance.Case, only: [verdict: 2]
+  import Situ.Conformance.Case, only: [all: 2, verdict: 2]
   alias Situ.{Indexer, Interval}
+  alias Situ.Conformance.Text
 
   # The minimum and maximum in the files. Situ's intervals have :unbounded ends, and spans of
   # :infinity.
@@ -23,32 +24,97 @@ defmodule Situ.Conformance.Intervals do
     })
   end
 
+  # The slices of a range apply one after the other. A stride does not change its values.
   def check(%{"op" => "index_definition", "params" => params} = case) do
     range =
       case params do
         %{"size" => size} -> {0, size - 1}
         %{"range" => [first, last]} -> {first, last}
+        _ -> Text.unknown!("an index definition", params)
       end
 
-    values = Indexer.range_values(range, slice(params["slice"] || "all"))
-    expected(case, %{"values" => values, "ranges" => lists(Indexer.group_runs(values))})
+    first = if take = params["take"], do: {:take, take}, else: slice(params["slice"] || "all")
+    values = Indexer.range_values(range, first)
+    # A slice of taken values is relative to them.
+    values = if params["take"], do: sliced(values, slice(params["slice"] || "all")), else: values
+    stride = params["stride"] || params["element_stride"] || 1
+
+    expected(case, %{
+      "values" => values,
+      "ranges" => lists(Indexer.group_runs(values)),
+      "count" => length(values),
+      "start" => List.first(values),
+      "end" => List.last(values),
+      "stride" => stride,
+      "element_stride" => stride
+    })
   end
 
-  def check(%{"op" => "index_" <> _, "params" => %{"shape" => shape} = params} = case) do
-    slices = params["slice"] && Enum.map(params["slice"], &slice/1)
-    indices = Indexer.flat_indices(shape, slices)
+  def check(%{"op" => "index_" <> _, "params" => params} = case) do
+    {shape, window} = shape(params)
+
+    view =
+      Enum.reduce(
+        [window | slices(params, length(shape))],
+        Indexer.new(shape),
+        &Indexer.slice(&2, &1)
+      )
+
+    indices = Indexer.flat_indices(view)
 
     expected(case, %{
       "count" => length(indices),
       "values" => indices,
-      "ranges" => lists(Indexer.index_ranges(shape, slices))
+      "ranges" => lists(Indexer.index_ranges(view)),
+      "shape" => Indexer.shape(view)
     })
   end
 
   def check(%{"op" => op, "params" => params} = case), do: expected(case, answer(op, params))
 
-  # Cases list the properties that they test.
-  defp expected(%{"expect" => expect}, got), do: verdict(expect, Map.take(got, Map.keys(expect)))
+  # Cases list the properties that they test. A list of numbers may be a range: "0..999".
+  defp expected(%{"expect" => expect} = case, got) do
+    lists =
+      for {key, text} when is_binary(text) <- expect,
+          is_list(got[key]),
+          range = Text.range(text),
+          into: %{},
+          do: {key, range}
+
+    all(%{case | "expect" => Map.merge(expect, lists)}, got)
+  end
+
+  # The shape of the stored array, and the part of it that is indexed. With a stride, rows of the
+  # last dimension are stored further apart than they are long.
+  defp shape(params) do
+    shape = params["shape"] || [params["rows"], params["columns"]]
+    stride = params["stride"] || params["row_stride"] || List.last(shape)
+
+    if Enum.all?([stride | shape], &is_integer/1),
+      do: {List.replace_at(shape, -1, stride), Enum.map(shape, &{0, &1 - 1})},
+      else: Text.unknown!("the shape of an array", params)
+  end
+
+  # "slice" with one slice per dimension, then "then_slice"; or a list of such slices.
+  defp slices(params, dimensions) do
+    first = params["slices"] || params["slice"]
+    # A list of slices contains lists with a slice per dimension, which are no ranges.
+    several? =
+      is_list(first) and (params["slices"] != nil or Enum.all?(first, &nested?(&1, dimensions)))
+
+    first = if several? or first == nil, do: first || [], else: [first]
+    then = Enum.reject([params["then_slice"], params["then"]], &is_nil/1)
+    for slices <- first ++ then, do: Enum.map(slices, &slice/1)
+  end
+
+  defp nested?(list, dimensions),
+    do:
+      is_list(list) and length(list) == dimensions and
+        Enum.any?(list, &(is_list(&1) or &1 == "all"))
+
+  defp sliced(values, slice) do
+    for index <- Indexer.range_values({0, length(values) - 1}, slice), do: Enum.at(values, index)
+  end
 
   defp answer("interval", p) do
     properties(
@@ -196,7 +262,10 @@ defmodule Situ.Conformance.Intervals do
 
   defp slice("all"), do: :all
   defp slice([from, to]), do: {from, to}
-  defp slice(at), do: at
+  defp slice([from, to, step]), do: {from, to, step}
+  defp slice(%{"take" => indices}), do: {:take, indices}
+  defp slice(at) when is_integer(at), do: at
+  defp slice(other), do: Text.unknown!("a slice", other)
 
   defp lists(ranges), do: Enum.map(ranges, &Tuple.to_list/1)
 

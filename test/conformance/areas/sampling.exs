@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Sampling do
   import Situ.Conformance.Case, except: [time: 1]
-  alias Situ.Conformance.{Interpolators, Run}
+  alias Situ.Conformance.{Interpolators, Run, Text}
 
   Code.require_file("interpolators.exs", __DIR__)
 
@@ -24,9 +24,9 @@ defmodule Situ.Conformance.Sampling do
   defp by_interval(%{"inputs" => [input] = inputs}, interpolator, p) do
     messages = timed(input["messages"])
     {last, _} = List.last(messages) || {0, nil}
-    close = closed_at(p) || last
+    close = duration(p, "pipeline_ends_at") || last
     align = align(p)
-    interval = if p["interval_ms"], do: ms(p["interval_ms"]), else: ticks(p["interval_ticks"])
+    interval = duration(p, "interval") || Text.unknown!("the interval of a clock", p)
     build = fn [source] -> Situ.sample(source, interval, interpolator, align) end
 
     Run.waiting(inputs, build, 0, fn test ->
@@ -36,11 +36,5 @@ defmodule Situ.Conformance.Sampling do
     end)
   end
 
-  defp closed_at(%{"pipeline_ends_at_ms" => n}), do: ms(n)
-  defp closed_at(%{"pipeline_ends_at_ticks" => n}), do: ticks(n)
-  defp closed_at(_params), do: nil
-
-  defp align(%{"align_to_ms" => n}), do: [align: ms(n)]
-  defp align(%{"align_to_ticks" => n}), do: [align: ticks(n)]
-  defp align(_params), do: []
+  defp align(params), do: if(align = duration(params, "align_to"), do: [align: align], else: [])
 end

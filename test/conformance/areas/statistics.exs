@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Statistics do
   import Situ.Conformance.Case
-  alias Situ.Conformance.{Formula, Run}
+  alias Situ.Conformance.{Formula, Run, Text}
 
   # Applies a function to a list, without a stream.
   def check(%{"op" => op, "params" => %{"values" => values} = params, "inputs" => []} = case) do
@@ -55,9 +55,9 @@ defmodule Situ.Conformance.Statistics do
   defp over("of_list", _params), do: :list
   defp over("history", %{"size" => n}), do: {:last, n}
   defp over("history", %{"count" => n}), do: {:last, n}
-  defp over("history", %{"time_s" => n}), do: {:past, ms(n * 1_000)}
-  defp over("history", %{"time_ms" => n}), do: {:past, ms(n)}
-  defp over("history", %{"time_ticks" => n}), do: {:past, ticks(n)}
+
+  defp over("history", params),
+    do: {:past, duration(params, "time") || Text.unknown!("a history", params)}
 
   # The running deviation of one decimal is 0, because decimals have no NaN.
   defp options(params) do
@@ -70,8 +70,14 @@ defmodule Situ.Conformance.Statistics do
   # The order of comparison, for values that are not numbers.
   defp compare(params) do
     case params["comparer"] || params["comparison"] || params["compare"] do
-      nil -> nil
-      text -> if(text =~ ~r/revers|descend|opposite|negat/, do: &>=/2)
+      nil ->
+        nil
+
+      text ->
+        if(text =~ ~r/revers|descend|opposite|negat/,
+          do: &>=/2,
+          else: Text.unknown!("an order", text)
+        )
     end
   end
 

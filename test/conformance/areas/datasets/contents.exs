@@ -3,6 +3,7 @@ defmodule Situ.Conformance.Datasets.Contents do
   # of the dataset and their spans.
   import Situ.Conformance.Case
   alias Situ.{Dataset, Interval, Message, Store}
+  alias Situ.Conformance.Datasets.Steps
   alias Situ.Dataset.{OpenSession, Server, Session, Summary}
 
   def run(op, params, case, root) do
@@ -47,16 +48,20 @@ defmodule Situ.Conformance.Datasets.Contents do
          do: {:ok, %{dataset: dataset, spec: params["stream"]}}
   end
 
-  defp made(_op, params, root) do
-    file = Path.join(root, "dataset.json")
-    autosave? = params["autosave"] == true
+  defp made(op, params, root) do
+    autosave? = params["autosave"] == true or op == "dataset.autosave"
+    names = params["sessions"] || if(params["steps"], do: [], else: ["Session_0"])
 
-    with {:ok, new} <- Dataset.new("Untitled Dataset", file: file, autosave: autosave?),
-         {:ok, dataset} <-
-           add(new, params["sessions"] || ["Session_0"], params["stores"], root, true),
-         {:ok, stepped} <- step(dataset, params["step"]),
-         do:
-           {:ok, %{dataset: stepped, changes: Server.diff_datasets(dataset, stepped), empty: new}}
+    with {:ok, new} <-
+           Dataset.new("Untitled Dataset",
+             file: Path.join(root, "dataset.json"),
+             autosave: autosave?
+           ),
+         {:ok, dataset} <- add(new, names, params["stores"], root, true),
+         {:ok, [stepped | _] = states} <- Steps.run(dataset, params, &store(nil, &1, root)) do
+      changes = Server.diff_datasets(dataset, stepped)
+      {:ok, %{dataset: stepped, states: Enum.reverse(states), changes: changes, empty: new}}
+    end
   end
 
   defp sessions(names, params, root, stores? \\ true) do
@@ -93,7 +98,7 @@ defmodule Situ.Conformance.Datasets.Contents do
   end
 
   # One stream Root with 0..9, one tick apart. Each store starts an hour after the previous one.
-  defp store(names, i, root) do
+  def store(names, i, root) do
     name = (names || []) |> Enum.at(i, "Store#{i}") |> String.split(" ") |> hd()
     {:ok, writer} = Store.Writer.create(name, root)
     {:ok, stream} = Store.Writer.stream(writer, "Root", type: :integer)
@@ -110,35 +115,21 @@ defmodule Situ.Conformance.Datasets.Contents do
     writer.path
   end
 
-  defp step(dataset, nil), do: {:ok, dataset}
-
-  defp step(%{sessions: [session | _]} = dataset, words) do
-    cond do
-      words =~ "rename a session" ->
-        Dataset.rename_session(dataset, session.name, session.name <> "_renamed")
-
-      words =~ "remove a session" ->
-        Dataset.remove_session(dataset, session.name)
-
-      words =~ "add a session" ->
-        Dataset.add_session(dataset, "Session_new")
-
-      words =~ ~r/save/ ->
-        Dataset.save(dataset)
-
-      words =~ ~r/rename the dataset|name/ ->
-        Dataset.put_fields(dataset, name: "Renamed")
-    end
-  end
-
+  # A list of truth values is about the dataset after each step, and an object about its file.
   defp expected(expect, state) do
     Enum.find_value(expect, :pass, fn {key, wanted} ->
-      case verdict(wanted(key, wanted, state), got(key, state)) do
+      case part(key, wanted, state) do
         :pass -> nil
         other -> other
       end
     end)
   end
+
+  defp part(key, [first | _] = wanted, %{states: states} = state) when is_boolean(first),
+    do: verdict(wanted, Enum.map(states, &got(key, %{state | dataset: &1})))
+
+  defp part(_key, %{} = facts, state), do: expected(facts, reloaded(state))
+  defp part(key, wanted, state), do: verdict(wanted(key, wanted, state), got(key, state))
 
   # An interval as text: "left of A .. right of B", "same" (as the session's interval), "empty".
   defp wanted(key, words, state) when is_binary(words) do
@@ -146,6 +137,12 @@ defmodule Situ.Conformance.Datasets.Contents do
   end
 
   defp wanted(_key, value, _state), do: value
+
+  # The state as another program reads it from the file.
+  defp reloaded(state) do
+    {:ok, saved} = Dataset.load(state.dataset.file)
+    %{state | dataset: saved}
+  end
 
   defp span("empty", _state), do: :empty
   defp span("same", state), do: got("session_interval", state)
@@ -180,6 +177,8 @@ defmodule Situ.Conformance.Datasets.Contents do
   defp got("dataset_interval", state), do: plain_span(Dataset.summary(state.dataset))
   defp got("session_changed", state), do: Enum.any?(state.changes, &match?({:session, _}, &1))
   defp got("dataset_changed", state), do: :dataset in state.changes
+  defp got("name", state), do: state.dataset.name
+  defp got("session_count", state), do: length(state.dataset.sessions)
   defp got("unsaved" <> _, state), do: state.dataset.unsaved?
   defp got("has_unsaved" <> _, state), do: state.dataset.unsaved?
 
@@ -189,6 +188,15 @@ defmodule Situ.Conformance.Datasets.Contents do
       {:ok, messages} = OpenSession.messages(open, "Root")
       open.troubles == [] and Enum.map(messages, & &1.data) == Enum.to_list(0..9)
     end)
+  end
+
+  # "saved_sessions", "reloaded_name": the same fact about the dataset in its file.
+  defp got(key, state)
+       when key not in ["saved", "saved_equals_memory"] and is_map_key(state, :states) do
+    case Regex.run(~r/^(?:saved|reloaded|loaded|file)_(.+)$/, key) do
+      [_, fact] -> got(fact, reloaded(state))
+      nil -> "no meaning known for #{key}"
+    end
   end
 
   defp got("saved" <> _, state) do

@@ -69,7 +69,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Relay do
     outputs: [any: :any, x: :any, y: :any, z: :any, gen: :any],
     options: [
       tell: [type: :any, required: true],
-      gen: [type: :boolean, default: false],
+      gen: [type: :any, default: false],
       at_close: [type: :any]
     ]
 
@@ -85,6 +85,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Relay do
     {Enum.map(times, &{:gen, &1, 0}) ++ [{:complete, List.last(times)}], state}
   end
 
+  def handle_start(_context, %{gen: :endless} = state), do: {[{:complete, :infinity}], state}
   def handle_start(_context, state), do: {[], state}
 
   @impl true
@@ -118,7 +119,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Generator do
     outputs: [any: :any, x: :any, y: :any, z: :any, gen: :any],
     options: [
       tell: [type: :any, required: true],
-      gen: [type: :boolean, default: true],
+      gen: [type: :any, default: true],
       at_close: [type: :any]
     ]
 
@@ -164,5 +165,30 @@ defmodule Situ.Conformance.PipelineLifecycle.Probe do
   def handle_stop(_final, context, opts) do
     opts[:tell].({:stop, context.path})
     {[], opts}
+  end
+end
+
+defmodule Situ.Conformance.PipelineLifecycle.Collecting do
+  # Keeps its messages and posts them when its input has closed, each after a pause.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [pause: [type: :non_neg_integer, default: 0]]
+
+  @impl true
+  def init(opts), do: {:ok, {opts[:pause], []}}
+
+  @impl true
+  def handle_message(:in, message, _context, {pause, kept}), do: {[], {pause, [message | kept]}}
+
+  @impl true
+  def handle_closed(:in, _time, _context, {pause, kept}) do
+    posts =
+      for message <- Enum.reverse(kept) do
+        Process.sleep(pause)
+        {:out, message.originating_time, message.data}
+      end
+
+    {posts, {pause, []}}
   end
 end

@@ -1,20 +1,18 @@
 defmodule Situ.Conformance.PipelineLifecycle.Finalization do
   # Checks the order in which a graph closes, and that a stop request during the closing does not
   # hang.
-  import Situ.Conformance.Case, only: [all: 2]
+  import Situ.Conformance.Case,
+    only: [all: 2, meant: 3, ms: 1, outputs: 2, timed: 1, verdict: 2]
+
   import Situ.Conformance.PipelineLifecycle.Telling
-  alias Situ.Conformance.PipelineLifecycle.{Generator, Relay, Source}
+  alias Situ.Conformance.{Facts, Text}
+  alias Situ.Conformance.PipelineLifecycle.{Collecting, Generator, Relay, Scopes, Source}
   alias Situ.Pipeline
 
-  def check(%{"op" => "finalization"} = case) do
-    {tell, tag} = teller()
-    messages = for i <- 0..9, do: {i * 1000, i}
+  @posts ~r/\bposts?\b|^posts?_|_posts?_|collect/
 
-    {:ok, _} =
-      Pipeline.run(stopping(tell, messages), pipeline: [replay: [interval: {0, :unbounded}]])
-
-    received = for v when is_integer(v) <- drain(tag), do: v
-    all(case, %{"received" => received, "deadlock" => false})
+  def check(%{"op" => "finalization", "params" => params} = case) do
+    if Enum.any?(params, &posts?/1), do: posted_late(case), else: stopped_early(case)
   end
 
   def check(%{"op" => "finalization_order", "params" => params} = case) do
@@ -41,7 +39,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
           do: {key, if(fits?(n, count(events, {name, input})), do: n, else: :other)}
 
     got = %{
-      "all_emitters_close" => length(report.closed) == components(params),
+      "all_emitters_close" => length(report.closed) == length(components(params)),
       "must_close_before" => Enum.filter(expect["must_close_before"] || [], in_order?),
       # If not all inputs are listed, the case is about the listed ones.
       "inputs_unsubscribed" => listed(expect["inputs_unsubscribed"] || [], inputs, connected),
@@ -55,6 +53,48 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
     came = inputs -- inputs -- connected
     if wanted != [] and wanted -- came == [], do: wanted, else: came
   end
+
+  # A component posts from its handler ("handler": "posts the collected messages"), or stops.
+  defp posts?({key, value}), do: key =~ @posts or (is_binary(value) and value =~ @posts)
+
+  # Requests a stop when an input closes.
+  defp stopped_early(case) do
+    {tell, tag} = teller()
+    settings = [replay: [interval: {0, :unbounded}]]
+    {:ok, _} = Pipeline.run(stopping(tell, given(case, 1_000)), pipeline: settings)
+    received = for v when is_integer(v) <- drain(tag), do: {0, v}
+    all(case, Facts.of(case["expect"], received))
+  end
+
+  # Posts when an input closes, while the pipeline ends.
+  defp posted_late(%{"params" => params, "expect" => expect} = case) do
+    messages = given(case, ms(10))
+    pause = Enum.find_value(params, 0, fn {key, n} -> key =~ ~r/_ms$/ && is_integer(n) && n end)
+
+    build = fn p ->
+      p |> Situ.source(Source, kind: {:messages, messages}) |> Situ.via(Collecting, pause: pause)
+    end
+
+    replay = [replay: [interval: {0, :unbounded}, speed: :max]]
+    got = Situ.to_list(build, times: true, pipeline: replay)
+
+    if is_list(expect),
+      do: posted(case, got),
+      else: all(case, Facts.of(expect, got, texts(expect, got == messages)))
+  end
+
+  defp posted(%{"expect" => [%{} | _]} = case, got), do: outputs(case, {:ok, got})
+  defp posted(%{"expect" => values}, got), do: verdict(values, Enum.map(got, &elem(&1, 1)))
+
+  # Everything is posted with its own time: "log": "equals the collected messages".
+  defp texts(expect, same?) do
+    for {key, text} when is_binary(text) <- expect, Text.compare(text, 0) == nil, into: %{} do
+      {key, meant(text, ~r/equal|same|unchanged|identical|every|all|kept|own/, same?)}
+    end
+  end
+
+  defp given(%{"inputs" => [%{"messages" => messages} | _]}, _interval), do: timed(messages)
+  defp given(_case, interval), do: for(i <- 0..9, do: {i * interval, i})
 
   # The pipeline of the stop-from-handler case: a component that requests a stop when its input
   # closes.
@@ -75,18 +115,12 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
   defp graph(p, params, tell) do
     edges = Enum.flat_map(params["edges"], &edges/1)
     generators = for {a, "gen", _, _} <- edges, do: a
-    subs = Map.get(params, "subpipelines", %{})
 
     nodes =
-      for name <- params["construction_order"],
-          not Map.has_key?(subs, name),
-          not (name =~ ~r/^c[A-Z]/),
-          into: %{} do
+      for name <- components(params), into: %{} do
         module = if name in generators, do: Generator, else: Relay
-        sub = Enum.find_value(subs, fn {sub, members} -> name in members && sub end)
-
-        {name,
-         Pipeline.add(scope(p, sub), module, tell: tell, gen: name in generators, name: name)}
+        scoped = %{p | scope: Scopes.scope(name, params) || p.scope}
+        {name, Pipeline.add(scoped, module, tell: tell, gen: name in generators, name: name)}
       end
 
     for {a, output, b, input} <- edges do
@@ -94,9 +128,6 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
       Pipeline.connect(stream, nodes[b], String.to_existing_atom(input))
     end
   end
-
-  defp scope(p, nil), do: p
-  defp scope(p, sub), do: %{p | scope: sub}
 
   # Connectors between a pipeline and its part do not count as components: an edge through a
   # connector is a single edge.
@@ -112,9 +143,11 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
     end)
   end
 
+  # Names that are neither subpipelines nor connectors, which are written without a port.
   defp components(params) do
-    subs = Map.keys(Map.get(params, "subpipelines", %{}))
-    Enum.count(params["construction_order"], &(&1 not in subs and not (&1 =~ ~r/^c[A-Z]/)))
+    hops = Enum.flat_map(params["edges"], &String.split(&1, "->"))
+    connectors = Enum.reject(hops, &String.contains?(&1, "."))
+    params["construction_order"] -- (Scopes.names(params) ++ Enum.uniq(connectors))
   end
 
   defp unsubscribed({:closed, path, input}), do: ["#{last(path)}.#{input}"]

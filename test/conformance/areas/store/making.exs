@@ -7,8 +7,7 @@ defmodule Situ.Conformance.Store.Making do
 
   # An interval by times, or by a start and a length from the first message.
   def run("crop" <> _, params, case, root) do
-    meta = if m = params["supplemental_metadata"], do: [metadata: m], else: []
-    path = record(root, streams(case), fn _ -> meta end)
+    path = record(root, streams(case), &metadata(params, &1))
 
     options =
       for key <- ["from", "to", "start", "length"],
@@ -65,26 +64,27 @@ defmodule Situ.Conformance.Store.Making do
       else: {:fail, envelopes(before), envelopes(got)}
   end
 
-  # Edits of one stream, or of several by name. Streams without edits stay unchanged.
+  # Edits of one stream, or of several by name. Messages without edits stay unchanged.
   def run("edit" <> _, params, case, root) do
-    path = record(root, streams(case))
+    path = record(root, streams(case), &metadata(params, &1))
     [first | _] = Enum.map(case["inputs"], & &1["stream"])
+    stream = params["stream"] || params["edited_stream"] || first
 
     edits =
       case params["edits"] do
         %{} = named -> Map.new(named, fn {name, list} -> {name, Enum.map(list, &edit/1)} end)
-        list -> %{(params["stream"] || first) => Enum.map(list, &edit/1)}
+        list -> %{stream => Enum.map(list, &edit/1)}
       end
 
-    by_stream(case, made!(Store.edit(path, {"edited", root}, edits)))
+    new = made!(Store.edit(path, {"edited", root}, edits))
+    by_stream(case, new, &unedited?(Store.open!(path), new, &1, edits))
   end
 
   # The entire store, a span of it, or some of its streams, with their envelopes, types and
   # metadata.
   def run("copy" <> _, params, case, root) do
     streams = streams(case)
-    meta = fn _ -> if(m = params["supplemental_metadata"], do: [metadata: m], else: []) end
-    path = record(root, streams, meta)
+    path = record(root, streams, &metadata(params, &1))
     {from, to} = bounds(params)
     span = if from, do: [from: from, to: to], else: []
     names = if params["streams"], do: [streams: params["streams"]], else: []
@@ -99,7 +99,9 @@ defmodule Situ.Conformance.Store.Making do
           Enum.map(Store.messages(new, name), &%{&1 | source_id: nil})
       end)
 
-    if same?, do: by_stream(case, new, true), else: {:fail, "the same messages", "others"}
+    if same?,
+      do: by_stream(case, new, fn _stream -> true end),
+      else: {:fail, "the same messages", "others"}
   end
 
   # The store is deleted from the disk, and nothing else.
@@ -181,6 +183,31 @@ defmodule Situ.Conformance.Store.Making do
           case["expect"],
           Map.new(case["expect"], fn {name, _} -> {name, data(store, name)} end)
         )
+  end
+
+  # One value for every stream, or values by the stream's name.
+  defp metadata(%{"supplemental_metadata" => %{} = by_name}, name),
+    do: if(value = by_name[name], do: [metadata: value], else: [])
+
+  defp metadata(%{"supplemental_metadata" => value}, _name) when value != nil,
+    do: [metadata: value]
+
+  defp metadata(_params, _name), do: []
+
+  # Compares the messages of a stream (or of all) at times without an edit, with their envelopes.
+  defp unedited?(old, new, :all, edits),
+    do: Enum.all?(Store.streams(old), &unedited?(old, new, &1.name, edits))
+
+  defp unedited?(old, new, name, edits) do
+    times = for edit <- edits[name] || [], do: elem(edit, 1)
+
+    rest = fn store ->
+      for m <- Store.messages(store, name),
+          m.originating_time not in times,
+          do: %{m | source_id: nil}
+    end
+
+    rest.(old) == rest.(new)
   end
 
   defp made!({:ok, path}), do: Store.open!(path)

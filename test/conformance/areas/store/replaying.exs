@@ -2,6 +2,7 @@ defmodule Situ.Conformance.Store.Replaying do
   # Stores are replayed in pipelines.
   import Situ.Conformance.Case, only: [all: 2, meant: 3, told: 2, verdict: 2]
   import Situ.Conformance.Store.Tape, except: [told: 0, told: 1]
+  alias Situ.Conformance.Facts
   alias Situ.Conformance.Store.Tape
   alias Situ.{Message, Pipeline, Store}
 
@@ -66,6 +67,10 @@ defmodule Situ.Conformance.Store.Replaying do
     sums = for n <- 0..(length(paths) - 1), do: Enum.sum(for {^n, m} <- got, do: m.data)
     verdict(case["expect"]["sums"], sums)
   end
+
+  # In real time, no message arrives before its time on the clock of the replay.
+  def run("replay", %{"enforce_replay_clock" => true}, case, root), do: in_real_time(case, root)
+  def run("replay", %{"real_time" => true}, case, root), do: in_real_time(case, root)
 
   # A replay returns the recorded messages with their envelopes, including sequence ids and
   # creation times.
@@ -142,6 +147,44 @@ defmodule Situ.Conformance.Store.Replaying do
       "final" => last,
       "last" => last
     })
+  end
+
+  defp in_real_time(%{"expect" => expect} = case, root) do
+    [{name, messages} | _] = streams = streams(case)
+    path = record(root, streams)
+    test = self()
+
+    {:ok, pipeline} =
+      Pipeline.start(
+        fn p -> p |> Store.importer(path) |> Store.stream(name) |> tell(test) end,
+        pipeline: [replay: [interval: {hd(messages).originating_time, :unbounded}, speed: 1.0]]
+      )
+
+    until(fn -> Pipeline.state(pipeline) not in [:building, :starting] end)
+    clock = Pipeline.Client.call!(pipeline, :timing).clock
+
+    arrived =
+      for _ <- messages do
+        message =
+          receive do: ({:told, message} -> message), after: (30_000 -> raise("no message"))
+
+        {message, Situ.Clock.now(clock)}
+      end
+
+    {:ok, _} = Pipeline.await(pipeline)
+    outputs = for {m, _} <- arrived, do: {m.originating_time, m.data}
+    spaced? = Enum.all?(arrived, fn {m, at} -> at >= m.originating_time end)
+
+    known =
+      for {key, wanted} <- expect, is_boolean(wanted) or is_binary(wanted), into: %{} do
+        {key,
+         if(is_boolean(wanted),
+           do: spaced?,
+           else: meant(wanted, ~r/at or after|>=|not before|spaced/, spaced?)
+         )}
+      end
+
+    all(case, Facts.of(expect, outputs, Map.put(known, "messages_read", length(outputs))))
   end
 
   defp ends(got) do

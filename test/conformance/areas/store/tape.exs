@@ -4,7 +4,9 @@ defmodule Situ.Conformance.Store.Tape do
   alias Situ.{Message, Pipeline, Store}
 
   @ms 1_000_000
-  @units %{"ticks" => 100, "us" => 1_000, "ms" => @ms, "s" => 1_000 * @ms}
+
+  # What a case says of messages that are those of the original.
+  @unchanged ~r/same|unchanged|identical|equal|kept|keep|preserved/
 
   def ms, do: @ms
 
@@ -90,33 +92,54 @@ defmodule Situ.Conformance.Store.Tape do
   def data(store, name), do: Enum.map(Store.messages(store, name), & &1.data)
 
   # A parameter that is a time, in any unit: "from_ms", "from_ticks" ...
-  def time(params, name) do
-    Enum.find_value(@units, fn {unit, ns} ->
-      n = params["#{name}_#{unit}"]
-      is_number(n) && round(n * ns)
-    end)
-  end
+  defdelegate time(params, name), to: Situ.Conformance.Text, as: :duration
 
   # `{from, to}`, or `nil` if the case specifies none.
   def bounds(params), do: {time(params, "from"), time(params, "to")}
 
-  # Compares the store with the case's expected streams, counts and metadata.
-  # `same?`: whether its messages are known to equal those of the original store.
-  def by_stream(case, store, same? \\ nil) do
-    got =
-      Map.new(case["expect"] || %{}, fn {key, expected} ->
-        cond do
-          Store.has_stream?(store, key) -> {key, data(store, key)}
-          key == "sum" -> {key, Enum.sum(all_data(store))}
-          key in ["count", "messages"] -> {key, length(all_data(store))}
-          key == "available_streams" -> {key, length(Store.streams(store))}
-          key == "supplemental_metadata" -> {key, metadata(store)}
-          same? -> {key, meant(expected, ~r/same|unchanged|identical|equal|kept|preserved/, true)}
-          true -> {key, {:unread, expected}}
-        end
-      end)
+  # Compares the store with the case's expected streams, counts and metadata. `kept?` returns
+  # whether a stream (or :all) has the messages of the original store.
+  def by_stream(case, store, kept? \\ nil) do
+    expect = case["expect"] || %{}
 
-    verdict(case["expect"] || %{}, got)
+    verdict(
+      expect,
+      Map.new(expect, fn {key, wanted} -> {key, part(key, wanted, store, kept?)} end)
+    )
+  end
+
+  defp part(key, wanted, store, kept?) do
+    cond do
+      Store.has_stream?(store, key) and is_list(wanted) ->
+        data(store, key)
+
+      key =~ ~r/^sums?$/ ->
+        Enum.sum(all_data(store))
+
+      key in ["count", "messages", "message_count"] ->
+        length(all_data(store))
+
+      key in ["available_streams", "streams"] and is_integer(wanted) ->
+        length(Store.streams(store))
+
+      key == "supplemental_metadata" ->
+        metadata(store)
+
+      kept? ->
+        unchanged(wanted, kept?.(original(key, store)))
+
+      true ->
+        {:unread, wanted}
+    end
+  end
+
+  defp unchanged(wanted, kept?) when is_boolean(wanted), do: kept?
+  defp unchanged(wanted, kept?), do: meant(wanted, @unchanged, kept?)
+
+  # "stream0", "stream0_envelopes" and "envelopes_of_stream0" are about that stream.
+  defp original(key, store) do
+    names = Enum.map(Store.streams(store), & &1.name)
+    Enum.find(names, :all, &(key == &1 or key =~ ~r/^#{&1}_|_(of_)?#{&1}$/))
   end
 
   defp all_data(store), do: Enum.flat_map(Store.streams(store), &data(store, &1))
