@@ -104,8 +104,8 @@ defmodule Situ.Bench do
     end
   end
 
-  # As in bin/bench.
-  defp vm_flags do
+  @doc "Returns the flags with which bin/bench starts a VM."
+  def vm_flags do
     extra = String.split(System.get_env("SITU_BENCH_FLAGS", ""))
     if System.get_env("SITU_BENCH_VM") == "plain", do: extra, else: release_flags() ++ extra
   end

@@ -139,7 +139,8 @@ defmodule Situ.Bench.Cluster do
     paths = Enum.flat_map(:code.get_path(), &[~c"-pa", &1])
 
     flags =
-      ~w(-setcookie bench -start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd +sbwt very_short +zdbbl 32768)
+      ~w(-setcookie bench -start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd) ++
+        Situ.Bench.vm_flags()
 
     kernel = ~w(-kernel inet_dist_use_interface {127,0,0,1} -kernel logger_level error)
 

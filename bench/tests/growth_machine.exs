@@ -151,11 +151,12 @@ defmodule Situ.Bench.GrowthMachine do
 
   @doc false
   def idle(kind, k) do
-    {:ok, warm} = Pipeline.start(&build_idle(kind, &1, k))
+    {:ok, warm} = Pipeline.start(&build_idle(kind, &1, 10))
     {:ok, _} = Pipeline.stop(warm)
     collect_garbage()
     memory = :erlang.memory(:total)
     {:ok, pipeline} = Pipeline.start(&build_idle(kind, &1, k))
+    await_running(pipeline)
     collect_garbage()
     used = :erlang.memory(:total) - memory
 
@@ -165,6 +166,14 @@ defmodule Situ.Bench.GrowthMachine do
         {:ok, _} = Pipeline.stop(pipeline)
       end)
     ]
+  end
+
+  # `start/2` returns before the stages have started.
+  defp await_running(pipeline) do
+    if Pipeline.state(pipeline) != :running do
+      Process.sleep(50)
+      await_running(pipeline)
+    end
   end
 
   # Other processes may still have work.
