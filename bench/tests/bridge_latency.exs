@@ -1,3 +1,5 @@
+Code.require_file("latency.exs", __DIR__)
+
 defmodule Situ.Bench.BridgeLatency do
   @moduledoc false
   # The latency of a message at 1,000 per second, from a source in one pipeline through a

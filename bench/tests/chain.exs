@@ -21,12 +21,12 @@ defmodule Situ.Bench.Chain do
         {"chain-10-async",
          &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), async: true)},
         {"chain-10-throttle-async",
-         &chain("chain_k10_throttle_async", 10, round(20_000 * &1), Delivery.unlimited(),
+         &chain("chain_k10_throttle_async", 10, round(200_000 * &1), Delivery.unlimited(),
            async: true,
            policy: Delivery.throttle(1)
          )}
       ] ++
-      for {k, n} <- [{1, 100_000}, {10, 20_000}] do
+      for {k, n} <- [{1, 600_000}, {10, 200_000}] do
         {"chain-#{k}-throttle",
          &chain("chain_k#{k}_throttle", k, round(n * &1), Delivery.unlimited(),
            policy: Delivery.throttle(1)

@@ -65,7 +65,7 @@ defmodule Situ.Bench.Cluster do
       {least_wall, least_cpu, _} = deployed(nodes, opts, direct, 5)
       {wall, cpu, _} = deployed(nodes, opts, direct, n)
       rate = n * 1.0e9 / max(wall - least_wall, 1)
-      used = max(cpu - least_cpu, 0) * 1_000 / n
+      used = max(cpu - least_cpu, 0) / n
 
       if kind == "pictures",
         do: [{metric, rate * 1.048576, "MB/s"}, {metric <> "_cpu", used, "us/msg"}],
@@ -109,9 +109,9 @@ defmodule Situ.Bench.Cluster do
     end
   end
 
-  # Wall time in ns, and CPU time of both nodes in ms.
+  # Wall time in ns, and CPU time of both nodes in us.
   defp deployed([left, _] = nodes, opts, direct, n, settings \\ []) do
-    {before, started} = {cpu_ms(nodes), System.monotonic_time(:nanosecond)}
+    {before, started} = {cpu_us(nodes), System.monotonic_time(:nanosecond)}
 
     {:ok, deployment} =
       call(left, Situ.Cluster, :deploy, [
@@ -130,18 +130,17 @@ defmodule Situ.Bench.Cluster do
       ])
 
     :ok = call(left, Situ.Cluster, :await, [deployment, 600_000])
-    {System.monotonic_time(:nanosecond) - started, cpu_ms(nodes) - before, deployment}
+    {System.monotonic_time(:nanosecond) - started, cpu_us(nodes) - before, deployment}
   end
 
-  defp cpu_ms(nodes) do
-    nodes |> Enum.map(&elem(call(&1, :erlang, :statistics, [:runtime]), 0)) |> Enum.sum()
-  end
+  defp cpu_us(nodes), do: nodes |> Enum.map(&Situ.Bench.cpu_us(&1.pid)) |> Enum.sum()
 
   defp node(name, code) do
     paths = Enum.flat_map(:code.get_path(), &[~c"-pa", &1])
 
     flags =
-      ~w(-setcookie bench -start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd +sbwt very_short +zdbbl 32768)
+      ~w(-setcookie bench -start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd) ++
+        Situ.Bench.vm_flags()
 
     kernel = ~w(-kernel inet_dist_use_interface {127,0,0,1} -kernel logger_level error)
 

@@ -12,11 +12,8 @@ defmodule Situ.Bench.Fanout do
 
   def tests do
     for {name, policy} <- @policies,
-        do: {"fanout-#{name}", &fanout("fanout10_#{name}", count(name, &1), policy)}
+        do: {"fanout-#{name}", &fanout("fanout10_#{name}", round(200_000 * &1), policy)}
   end
-
-  defp count(:throttle, scale), do: round(20_000 * scale)
-  defp count(_name, scale), do: round(200_000 * scale)
 
   defp fanout(metric, n, policy) do
     counts = :counters.new(10, [])

@@ -1,3 +1,5 @@
+Code.require_file("space.exs", __DIR__)
+
 defmodule Situ.Bench.Beside do
   @turns 30
   @calls 5

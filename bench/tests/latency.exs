@@ -36,44 +36,70 @@ defmodule Situ.Bench.Latency do
     def handle_info(_other, _context, state), do: {[], state}
   end
 
+  @policies [
+    unlimited: Delivery.unlimited(),
+    throttle: Delivery.throttle(),
+    sync: Delivery.synchronous()
+  ]
+
   def tests do
-    for {name, policy} <- [
-          unlimited: Delivery.unlimited(),
-          throttle: Delivery.throttle(),
-          sync: Delivery.synchronous()
-        ],
-        {kind, async} <- [{"thread", false}, {"async", true}] do
-      {"latency-#{kind}-#{name}",
-       &latency("latency_1khz_#{kind}_k10_#{name}", max(round(10_000 * &1), 10), policy, async)}
-    end
+    plain =
+      for {name, policy} <- @policies, {kind, async} <- [{"thread", false}, {"async", true}] do
+        {"latency-#{kind}-#{name}",
+         &latency("latency_1khz_#{kind}_k10_#{name}", count(&1), policy, async)}
+      end
+
+    plain ++ [{"latency-neighbour", &neighbour(count(&1))}]
   end
 
-  defp latency(metric, n, policy, async) do
+  defp count(scale), do: max(round(10_000 * scale), 10)
+
+  @doc "Returns the metrics of `n` messages: latencies in us, and CPU time per message."
+  def latency(metric, n, policy, async, beside \\ & &1) do
     # Stored outside the pipeline's processes, with one write per message.
     table = :ets.new(:latency, [:public, :set, write_concurrency: true])
+    before = Situ.Bench.cpu_us()
 
     {:ok, _} =
-      Pipeline.run(
-        fn p ->
-          1..10
-          |> Enum.reduce(Situ.source(p, Metronome, count: n), fn _, stream ->
-            Situ.map(stream, & &1, async: async)
-          end)
-          |> Situ.each(fn sent -> :ets.insert(table, {sent, :erlang.monotonic_time() - sent}) end)
-        end,
-        pipeline: [default_policy: policy]
-      )
+      Pipeline.run(&build(&1, n, table, async, beside), pipeline: [default_policy: policy])
 
+    cpu = Situ.Bench.cpu_us() - before
     sorted = table |> :ets.tab2list() |> Enum.map(&(elem(&1, 1) / 1_000)) |> Enum.sort()
     :ets.delete(table)
     if length(sorted) != n, do: raise("#{length(sorted)} of #{n} messages arrived")
 
-    [
-      {metric <> "_p50", at(sorted, 0.50), "us"},
-      {metric <> "_p99", at(sorted, 0.99), "us"},
-      {metric <> "_max", List.last(sorted), "us"}
-    ]
+    for {name, value} <- [
+          p50: Situ.Bench.quantile(sorted, 0.5),
+          p99: Situ.Bench.quantile(sorted, 0.99),
+          p999: Situ.Bench.quantile(sorted, 0.999),
+          max: List.last(sorted)
+        ] do
+      {"#{metric}_#{name}", value, "us"}
+    end ++ [{metric <> "_cpu", cpu / n, "us/msg"}]
   end
 
-  defp at(sorted, q), do: Enum.at(sorted, min(floor(length(sorted) * q), length(sorted) - 1))
+  defp build(p, n, table, async, beside) do
+    source = Situ.source(p, Metronome, count: n)
+    beside.(source)
+
+    1..10
+    |> Enum.reduce(source, fn _, stream -> Situ.map(stream, & &1, async: async) end)
+    |> Situ.each(fn sent -> :ets.insert(table, {sent, :erlang.monotonic_time() - sent}) end)
+  end
+
+  # A second process changes a map of 300,000 keys with each message. Its garbage collections
+  # must not delay the chain.
+  defp neighbour(n) do
+    keys = 300_000
+    memory = Map.new(1..keys, &{&1, {&1, "x#{&1}"}})
+
+    beside = fn source ->
+      source
+      |> Situ.scan(memory, &Map.put(&2, rem(&1, keys), {&1, "y"}))
+      |> Situ.map(&map_size/1)
+      |> Situ.each(fn size when size >= keys -> :ok end)
+    end
+
+    latency("latency_1khz_neighbour", n, Delivery.unlimited(), false, beside)
+  end
 end

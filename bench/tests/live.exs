@@ -46,11 +46,11 @@ defmodule Situ.Bench.Live do
       n = div(n * 40, rows)
 
       measure("live_diff_#{rows}_rows", n, "diffs/s", fn ->
-        Enum.reduce(1..n, {Socket.__sent__(socket), memory}, fn i, {socket, memory} ->
+        Enum.reduce(1..n, {Socket.__clear_message__(socket), memory}, fn i, {socket, memory} ->
           {:noreply, socket} = Table.handle_event("set", %{"i" => 3, "v" => i}, socket)
           {diff, memory} = Diff.diff_tree(ViewLifecycle.render_view(socket, :changed), memory)
           %{"0" => %{"1" => %{"k" => %{"2" => %{"3" => _}, "kc" => ^rows}}}} = diff
-          {Socket.__sent__(socket), memory}
+          {Socket.__clear_message__(socket), memory}
         end)
       end)
     end)

@@ -15,7 +15,12 @@ defmodule Situ.Bench.Parallel do
           {form, run} <- [{"sparse", &sparse/3}, {"fixed", &fixed/3}],
           do: {"parallel#{form}-#{name}", &run.(name, policy.(), &1)}
 
-    forms ++ [{"parallel-processes", &processes/1}, {"parallel-100k", &many/1}]
+    forms ++
+      [
+        {"parallel-processes", &processes/1},
+        {"parallel-processes-maps", &processes_of_maps/1},
+        {"parallel-100k", &many/1}
+      ]
   end
 
   defp sparse(name, policy, scale) do
@@ -41,6 +46,18 @@ defmodule Situ.Bench.Parallel do
 
     run("parallel_processes10", n, Delivery.unlimited(), Enum.to_list(0..9), fn stream ->
       stream |> Situ.parallel(&add_one/1, size: 10, branches: :processes) |> Situ.map(&Enum.sum/1)
+    end)
+  end
+
+  # Maps, like the reference's sparse parallel.
+  defp processes_of_maps(scale) do
+    n = max(1, round(10_000 * scale))
+    map = Map.new(0..9, &{&1, &1})
+
+    run("parallel_processes_maps10", n, Delivery.unlimited(), map, fn stream ->
+      stream
+      |> Situ.parallel(&add_one/1, of: :maps, branches: :processes)
+      |> Situ.map(&Enum.sum(Map.values(&1)))
     end)
   end
 

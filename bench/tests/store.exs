@@ -1,3 +1,5 @@
+Code.require_file("seek.exs", __DIR__)
+
 defmodule Situ.Bench.Store do
   # A pipeline writes messages to a store, the store is closed, and another pipeline reads it. For
   # large messages, a plain write(2) of the same bytes is measured as well.
