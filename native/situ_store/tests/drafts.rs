@@ -158,8 +158,9 @@ fn after_a_failed_commit_all_messages_wait_in_order() {
         writer.add_stream(Compression::None, false);
         let drafts = Arc::new(Drafts::default());
         let both = [drafts.add_draft(1), drafts.add_draft(2)];
-        both.iter()
-            .for_each(|draft| drop(add_integers(draft, 0, 2_000)));
+        for draft in &both {
+            add_integers(draft, 0, 2_000).unwrap();
+        }
         if drafts.commit_all(&mut writer).is_ok() {
             assert!(steps > 5);
             return;
