@@ -32,6 +32,7 @@ defmodule Situ.Bench.Store do
       end ++
       [
         {"store100b", &hundred(max(1, round(1_000_000 * &1)))},
+        {"store-wide", &wide(max(1, round(1_000 * &1)), 500)},
         {"mcap-beside", &beside(max(1, round(1_000_000 * &1)))}
       ]
   end
@@ -259,6 +260,63 @@ defmodule Situ.Bench.Store do
     args = ~w(build --release --locked --quiet -p situ_mcap --example peer)
     {_, 0} = System.cmd("cargo", args, cd: native, into: IO.stream(:stderr, :line))
     Path.join(native, "target/release/examples/peer")
+  end
+
+  # Many streams in one store, with few messages each: includes the start and the end of the pipelines. The test's peak
+  # memory is that of the whole VM.
+  defp wide(streams, each) do
+    in_folder(fn root ->
+      n = streams * each
+      names = for i <- 1..streams, do: "s#{i}"
+
+      written =
+        Situ.Bench.measure("store_wide_write", n, fn ->
+          {:ok, _} =
+            Pipeline.run(
+              &write_wide(&1, root, names, each),
+              settings(:unlimited, interval: {0, :unbounded})
+            )
+
+          []
+        end)
+
+      counter = :counters.new(2, [:write_concurrency])
+
+      read =
+        Situ.Bench.measure("store_wide_read", n, fn ->
+          {:ok, _} = Pipeline.run(&read_wide(&1, root, names, counter), settings(:unlimited))
+          []
+        end)
+
+      {count, sum} = {:counters.get(counter, 1), :counters.get(counter, 2)}
+      expected = streams * div(each * (each - 1), 2)
+      if {count, sum} != {n, expected}, do: raise("read #{count} of #{n}, sum #{sum}")
+      written ++ read ++ [{"store_wide_bytes", bytes(root) / n, "B/msg"}]
+    end)
+  end
+
+  defp write_wide(p, root, names, each) do
+    exporter = Store.create(p, "bench", root)
+
+    for name <- names do
+      p
+      |> Situ.from_enumerable(0..(each - 1)//1, every: 100_000)
+      |> Situ.map(& &1, type: :integer)
+      |> Store.write(exporter, name, type: :integer)
+    end
+  end
+
+  defp read_wide(p, root, names, counter) do
+    importer = Store.importer(p, Path.join(root, "bench"))
+
+    for name <- names do
+      importer
+      |> Store.stream(name)
+      |> Situ.each(fn number ->
+        :counters.add(counter, 1, 1)
+        :counters.add(counter, 2, number)
+      end)
+    end
   end
 
   defp hundred(n) do

@@ -194,7 +194,7 @@ defmodule SecondReader do
   # Each bin of tracks must have the messages of its time, and their states in total.
   defp tallies(store, read) do
     groups = Enum.group_by(read, &{&1["stream"], &1["level"] - 64})
-    true = map_size(groups) > 50
+    true = map_size(groups) > 15
 
     for {{name, level}, bins} <- groups do
       messages = Enum.to_list(Store.messages(store, name))

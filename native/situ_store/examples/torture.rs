@@ -10,11 +10,12 @@
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::Duration;
 
 use situ_store::chunk::{Envelope, Input, Value};
 use situ_store::extent::Fault;
-use situ_store::writer::Durability;
+use situ_store::writer::{Drafts, Durability};
 use situ_store::{repair, Compression, Encoding, Options, Reader, Writer};
 
 struct Random(u64);
@@ -77,18 +78,26 @@ fn write_store(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
     for compression in [Compression::None, Compression::Lz4, Compression::None] {
         writer.add_stream(compression, false);
     }
+    // Half of the writers collect the integers in a draft.
+    let drafts = Arc::new(Drafts::default());
+    let draft = (random.below(2) == 0).then(|| drafts.add_draft(1));
     let mut out = std::io::stdout();
     let mut next = 0;
     while next < 30_000 {
         let end = next + 1 + random.below(60);
-        for i in next..end {
-            writer.push(
-                1,
-                message_envelope(i),
-                Encoding::Int,
-                0,
-                Input::Int(i as i64 * 3),
-            )?;
+        let integers = (next..end).map(|i| (message_envelope(i), Input::Int(i as i64 * 3)));
+        if let Some(draft) = &draft {
+            draft
+                .add_messages(Encoding::Int, |addition| {
+                    integers
+                        .map(|(to, input)| addition.push(to, input))
+                        .collect()
+                })
+                .unwrap();
+        } else {
+            for (envelope, input) in integers {
+                writer.push(1, envelope, Encoding::Int, 0, input)?;
+            }
         }
         for stream in [2, 3] {
             for i in next..end {
@@ -102,7 +111,7 @@ fn write_store(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
                 )?;
             }
         }
-        writer.commit()?;
+        drafts.commit_all(&mut writer)?;
         next = end;
         let _ = writeln!(out, "{next}").and_then(|()| out.flush());
     }

@@ -4,6 +4,7 @@
 mod chunks;
 mod closing;
 mod columns;
+mod drafts;
 mod lock;
 mod pyramids;
 mod stream;
@@ -21,6 +22,7 @@ use crate::index::{self, IndexWriter};
 use crate::pyramid::{Bin, FLUSH};
 
 pub use columns::{Column, ColumnValues};
+pub use drafts::{Addition, Draft, Drafts, Size, DRAFT_MESSAGE};
 pub use lock::lock_store;
 use stream::Stream;
 
@@ -233,13 +235,13 @@ impl Writer {
             Input::Bytes(bytes) if encoding == Encoding::Term => term_number(bytes),
             _ => input.numeric_value(),
         };
+        let state = &mut self.streams[stream as usize];
         if let Some(number) = number {
-            self.streams[stream as usize]
-                .pending_points
-                .push(Bin::from_sample(envelope.time, number));
+            let sample = Bin::from_sample(envelope.time, number);
+            state.pending_points.push(sample);
         }
         if stream != CATALOG {
-            self.streams[stream as usize].note_message(envelope.time, encoding, &input);
+            state.note_message(envelope.time, encoding, &input);
         }
         if alone {
             self.write_large(envelope, size, input)?;

@@ -1,10 +1,13 @@
 //! Passes terms to a writer.
 
+use std::sync::Arc;
+
 use rustler::types::list::ListIterator;
 use rustler::{Binary, Error as NifError, NifResult, Term, TermType};
 use situ_store::chunk::{Envelope, Input};
 use situ_store::format::LARGE_MESSAGE;
 use situ_store::pyramid::Bin;
+use situ_store::writer::{Draft, Size};
 use situ_store::{etf, Encoding, Error, Writer};
 
 use crate::atoms;
@@ -151,6 +154,35 @@ pub fn append_batches(
         )?;
     }
     Ok(writer.commit()?)
+}
+
+/// Adds messages to a draft. Returns their number and the size of the draft, or `None` if one does not fit.
+pub fn add_to_draft(draft: &Arc<Draft>, messages: Term<'_>) -> Option<(usize, Size)> {
+    let list = || messages.into_list_iterator().ok();
+    let first = list()?.next()?.map_get(atoms::data()).ok()?;
+    let encoding = detect_encoding(first);
+    let mut added = 0;
+    let size = draft.add_messages(encoding, |addition| {
+        for message in list()? {
+            let envelope = decode_envelope(message).ok()?;
+            let data = message.map_get(atoms::data()).ok()?;
+            let bytes: Binary<'_>;
+            let input = match encoding {
+                Encoding::Int => Input::Int(data.decode().ok()?),
+                Encoding::Float => Input::Float(data.decode().ok().filter(|_| data.is_float())?),
+                Encoding::Bool => Input::Bool(decode_boolean(data)?),
+                Encoding::Bytes => {
+                    bytes = data.decode().ok()?;
+                    Input::Bytes(bytes.as_slice())
+                }
+                _ => return None,
+            };
+            addition.push(envelope, input)?;
+            added += 1;
+        }
+        Some(())
+    })?;
+    Some((added, size))
 }
 
 /// Collects the binaries of an iolist without copying them. Single bytes are gathered.

@@ -6,6 +6,7 @@ mod health;
 mod inputs;
 mod locking;
 mod messages;
+mod parts;
 mod paths;
 mod reading;
 mod rows;
@@ -32,6 +33,7 @@ mod atoms {
         each,
         situ_store,
         slow,
+        refused,
         stale,
         published,
         ended,
@@ -59,6 +61,7 @@ mod atoms {
         numbers,
         others,
         integer,
+        integers,
         float,
         string,
         boolean,

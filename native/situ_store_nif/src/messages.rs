@@ -1,111 +1,19 @@
 //! Returns messages of a reader as terms.
 
-use std::sync::Arc;
-
-use rustler::types::tuple::make_tuple;
-use rustler::{Binary, Encoder, Env, ResourceArc, Term};
-use situ_store::chunk::Value;
-use situ_store::format::{LANE_DATA, MAX_CHUNK_MESSAGES};
-use situ_store::guard::Map;
-use situ_store::reader::Chunk;
-use situ_store::{etf, Encoding};
+use rustler::{Binary, Encoder, Env, Term};
+use situ_store::etf;
+use situ_store::format::LANE_DATA;
 
 use crate::atoms;
 use crate::errors::encode_error;
+use crate::parts::Part;
 use crate::reading::{Handle, QUICK_ENTRIES};
-use crate::terms::{decode_term, encode_binary, Decoded, COPY_UP_TO};
-
-/// The memory that the binaries of messages refer to: a mapped extent or an unpacked chunk.
-pub enum Bytes {
-    Map(Arc<Map>, usize, usize),
-    Unpacked(Arc<Vec<u8>>),
-}
-
-#[rustler::resource_impl]
-impl rustler::Resource for Bytes {}
-
-/// Encodes the messages of one chunk as `{sequence, originating, creation, data}`.
-struct Run<'a> {
-    env: Env<'a>,
-    encoding: Encoding,
-    whole: Option<Binary<'a>>,
-    /// The memory size of the terms' structure, bytes.
-    structure: u64,
-}
-
-impl<'a> Run<'a> {
-    fn start(env: Env<'a>, chunk: &Chunk) -> Self {
-        let encoding = chunk.header.encoding;
-        let is_shared = matches!(encoding, Encoding::Bytes | Encoding::Codec)
-            && chunk.body().len() > COPY_UP_TO;
-        let whole = is_shared.then(|| {
-            let bytes = match (chunk.unpacked_body(), chunk.body_offset()) {
-                (Some(bytes), _) => Bytes::Unpacked(bytes),
-                (None, at) => Bytes::Map(chunk.map.clone(), at.unwrap_or(0), chunk.body().len()),
-            };
-            ResourceArc::new(bytes).make_binary(env, |bytes| match bytes {
-                Bytes::Map(map, at, length) => &map[*at..*at + *length],
-                Bytes::Unpacked(bytes) => bytes,
-            })
-        });
-        Run {
-            env,
-            encoding,
-            whole,
-            structure: 0,
-        }
-    }
-
-    /// Returns the last elements of a message's tuple: its data or, for terms that are not plain, a tag and
-    /// details.
-    fn encode_data(&mut self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
-        let env = self.env;
-        if let (Encoding::Term, Value::Bytes { start, length }) = (self.encoding, value) {
-            let bytes = &body[start..start + length];
-            let (decoded, structure) = decode_term(env, bytes);
-            self.structure += structure as u64;
-            return match decoded {
-                Decoded::Plain(term) => (term, None),
-                Decoded::Refused(why) => (atoms::undecodable().encode(env), Some(why.encode(env))),
-                Decoded::Unknown(modules, term) => (
-                    atoms::unknown().encode(env),
-                    Some((modules, encode_binary(env, bytes), term).encode(env)),
-                ),
-            };
-        }
-        (self.encode_value(body, value), None)
-    }
-
-    fn encode_value(&self, body: &[u8], value: Value) -> Term<'a> {
-        let env = self.env;
-        match value {
-            Value::Int(value) => value.encode(env),
-            Value::Float(value) if value.is_finite() => value.encode(env),
-            // The BEAM has no such floats, but a writer in another language may have stored them.
-            Value::Float(_) => atoms::nil().encode(env),
-            Value::Bool(0) => atoms::r#false().encode(env),
-            Value::Bool(1) => atoms::r#true().encode(env),
-            Value::Bool(_) => atoms::nil().encode(env),
-            Value::Bytes { start, length } => {
-                let bytes = &body[start..start + length];
-                match &self.whole {
-                    Some(whole) if length > COPY_UP_TO => {
-                        match whole.make_subbinary(start, length) {
-                            Ok(part) => part.encode(env),
-                            Err(_) => encode_binary(env, bytes),
-                        }
-                    }
-                    _ => encode_binary(env, bytes),
-                }
-            }
-        }
-    }
-}
+use crate::terms::{decode_term, Decoded};
 
 /// Returns messages from `ordinal` on, until one is later than `to`, or there are at least `most` messages or
-/// `bytes` payload bytes: `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`. A message
-/// whose data are not a plain term is `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or
-/// `{..., :undecodable, why}`.
+/// `bytes` payload bytes: `{:ok, [{codec, messages}], next_ordinal}`. The messages of a chunk are `[{sequence,
+/// originating, creation, data}]`, or `{:integers, rows}` (see `Part::read_integers`). A message whose data are not a
+/// plain term is `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or `{..., :undecodable, why}`.
 /// Complete chunks are returned, so there may be a few more than `most` messages; with `bytes` 0 there are exactly
 /// `most`. A damaged chunk ends the result; if it is the first chunk, the result is the error.
 #[rustler::nif(schedule = "DirtyIo")]
@@ -175,7 +83,7 @@ fn read_messages<'a>(
         return encode_error(env, &error);
     }
     let exact = limits.bytes == 0;
-    let mut runs: Vec<(u16, Vec<Term<'a>>)> = Vec::new();
+    let mut runs: Vec<(u16, Term<'a>)> = Vec::new();
     let (mut next, mut count, mut size, mut work) = (from, 0u64, 0u64, 0u64);
     while count < limits.most && (exact || size < limits.bytes) && work < QUICK_BYTES {
         let entry = match reader.entry_at(stream, next) {
@@ -210,13 +118,13 @@ fn read_messages<'a>(
         });
         match part {
             Ok(part) => {
-                next += part.list.len() as u64;
-                count += part.list.len() as u64;
+                next += part.count;
+                count += part.count;
                 size += part.size;
                 if limits.quick {
                     work += part.size.saturating_sub(entry.length.into());
                 }
-                runs.push((part.codec, part.list));
+                runs.push((part.codec, part.messages));
                 if part.ended {
                     break;
                 }
@@ -226,72 +134,6 @@ fn read_messages<'a>(
         }
     }
     (atoms::ok(), runs, next).encode(env)
-}
-
-/// The selected messages of one chunk.
-struct Part<'a> {
-    codec: u16,
-    list: Vec<Term<'a>>,
-    /// Whether these are the last selected messages or, in a damaged chunk, the last readable ones. In the latter
-    /// case the next read returns the error.
-    ended: bool,
-    /// Its unpacked size in memory, including the structure of terms, bytes.
-    size: u64,
-}
-
-impl<'a> Part<'a> {
-    /// Reads the messages after the first `skip`, up to time `to`, at most `most`.
-    fn read(
-        env: Env<'a>,
-        chunk: &Chunk,
-        skip: u64,
-        to: i64,
-        most: u64,
-    ) -> Result<Part<'a>, &'static str> {
-        let mut run = Run::start(env, chunk);
-        let body = chunk.body();
-        let mut list = Vec::with_capacity(chunk.header.count.min(MAX_CHUNK_MESSAGES) as usize);
-        let mut ended = false;
-        // Messages of one batch often have the same creation time, which is a big number, so its term is reused.
-        let mut last_creation = (i64::MIN, i64::MIN.encode(env));
-        for (at, message) in (0u64..).zip(chunk.messages()) {
-            let (envelope, value) = match message {
-                Ok(message) => message,
-                Err(why) if list.is_empty() => return Err(why),
-                Err(_) => {
-                    ended = true;
-                    break;
-                }
-            };
-            if at < skip {
-                continue;
-            }
-            if envelope.time > to || list.len() as u64 >= most {
-                ended = true;
-                break;
-            }
-            if envelope.creation != last_creation.0 {
-                last_creation = (envelope.creation, envelope.creation.encode(env));
-            }
-            let (data, details) = run.encode_data(body, value);
-            let terms = [
-                envelope.sequence.encode(env),
-                envelope.time.encode(env),
-                last_creation.1,
-                data,
-                details.unwrap_or(data),
-            ];
-            let length = if details.is_some() { 5 } else { 4 };
-            list.push(make_tuple(env, &terms[..length]));
-        }
-        let codec = chunk.header.codec;
-        Ok(Part {
-            codec,
-            list,
-            ended,
-            size: body.len() as u64 + run.structure,
-        })
-    }
 }
 
 /// Returns the ordinal after the chunk that contains `ordinal`, where reading can continue after damage.

@@ -1,24 +1,30 @@
 //! The functions of a writer.
 
 use std::collections::HashSet;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use rustler::types::list::ListIterator;
-use rustler::{Atom, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
+use rustler::{Atom, Binary, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
 use situ_store::reader::lock_mutex;
-use situ_store::writer::Durability;
-use situ_store::{Compression, Error, Options, Writer};
+use situ_store::writer::{Draft, Drafts, Durability};
+use situ_store::{Compression, Options, Writer};
 
-use crate::inputs::{append_batches, append_runs, AppendError};
+use crate::inputs::{add_to_draft, append_batches, append_runs, AppendError};
 use crate::paths::FilePath;
 use crate::{atoms, errors};
 
-/// The writer and the names of its streams.
-pub struct WriterResource(Mutex<Writer>, Mutex<HashSet<String>>);
+/// The writer, the names of its streams, and the messages that wait for a commit.
+pub struct WriterResource(Mutex<Writer>, Mutex<HashSet<String>>, Arc<Drafts>);
 
 #[rustler::resource_impl]
 impl rustler::Resource for WriterResource {}
+
+/// The messages of one stream that wait for a commit.
+pub struct DraftResource(Arc<Draft>);
+
+#[rustler::resource_impl]
+impl rustler::Resource for DraftResource {}
 
 pub type Handle = ResourceArc<WriterResource>;
 
@@ -70,8 +76,13 @@ fn writer_create<'a>(
     let created = Writer::create(&path.0, options);
     Ok(encode_result(
         env,
-        created
-            .map(|writer| ResourceArc::new(WriterResource(Mutex::new(writer), Mutex::default()))),
+        created.map(|writer| {
+            ResourceArc::new(WriterResource(
+                Mutex::new(writer),
+                Mutex::default(),
+                Arc::default(),
+            ))
+        }),
     ))
 }
 
@@ -99,16 +110,56 @@ fn writer_stream<'a>(
     ))
 }
 
+/// Appends a record to the catalog, at `now` or later.
 #[rustler::nif(schedule = "DirtyIo")]
-fn writer_position<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
+fn writer_record<'a>(env: Env<'a>, handle: Handle, record: Binary<'a>, now: i64) -> Term<'a> {
     encode_result(
         env,
-        with_writer(&handle, |writer| {
-            writer
-                .stream_position(stream)
-                .ok_or(Error::UnknownStream(stream))
-        }),
+        with_writer(&handle, |writer| writer.append_record(&record, now)),
     )
+}
+
+/// Creates a draft of a stream.
+#[rustler::nif]
+fn writer_draft(handle: Handle, stream: u32) -> ResourceArc<DraftResource> {
+    ResourceArc::new(DraftResource(handle.2.add_draft(stream)))
+}
+
+/// Adds `%Situ.Message{}`s to a draft and returns `{messages, bytes}`, the size of the draft. Adds none of them and
+/// returns `:refused` if a draft cannot contain one of them.
+#[rustler::nif]
+fn draft_add<'a>(env: Env<'a>, draft: ResourceArc<DraftResource>, messages: Term<'a>) -> Term<'a> {
+    match add_to_draft(&draft.0, messages) {
+        Some((added, size)) => {
+            rustler::schedule::consume_timeslice(env, (added / 100).clamp(1, 100) as i32);
+            (size.messages, size.bytes).encode(env)
+        }
+        None => atoms::refused().encode(env),
+    }
+}
+
+/// Returns for how many milliseconds the oldest message of a draft has waited, or `nil`.
+#[rustler::nif]
+fn draft_waiting(draft: ResourceArc<DraftResource>) -> Option<u64> {
+    let waited = draft.0.waiting_time();
+    waited.map(|waited| waited.as_millis() as u64)
+}
+
+/// Commits the messages of a draft, and those of all other drafts of the store if `all`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn draft_commit<'a>(
+    env: Env<'a>,
+    handle: Handle,
+    draft: ResourceArc<DraftResource>,
+    all: bool,
+) -> Term<'a> {
+    let committed = with_writer(&handle, |writer| {
+        if all {
+            handle.2.commit_all(writer)?;
+        }
+        draft.0.commit(writer).map(|()| writer.committed_entries())
+    });
+    encode_result(env, committed)
 }
 
 fn append_with<'a>(
@@ -175,6 +226,8 @@ fn writer_close<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
     encode_result(
         env,
         with_writer(&handle, |writer| {
+            // Components that ended without an error have committed their drafts. The rest is saved if possible.
+            let _ = handle.2.commit_all(writer);
             writer.close().map(|()| writer.committed_entries())
         }),
     )

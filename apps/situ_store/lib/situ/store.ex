@@ -113,8 +113,9 @@ defmodule Situ.Store do
   Records a stream under `name` and returns the stream. If the stream or the store is `nil`, nothing is recorded and the
   stream is returned unchanged, so optional streams and optional recording need no `if`.
 
-  Messages are collected for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed together. With
-  `durability: :each` (`create/4`), every delivery is on disk before the next is processed.
+  Messages are collected for up to 20 ms and committed together, or earlier if a stream has 512 messages or 64 KiB of
+  payload (4,096 or 256 KiB if they are numbers, booleans or short binaries). With `durability: :each` (`create/4`),
+  every delivery is on disk before the next is processed.
 
   #{Options.docs(Exporter.write_options())}
   """

@@ -23,22 +23,29 @@ impl Writer {
         finished
     }
 
-    /// Writes a last record. If the index is lost, the record proves that all chunks before it were committed.
-    fn write_end_record(&mut self) -> Result<()> {
+    /// Appends a record to the catalog and commits it. Its time is `now`, or later if the last record is not older.
+    pub fn append_record(&mut self, record: &[u8], now: i64) -> Result<u64> {
+        if self.closed {
+            return Err(Error::Closed);
+        }
+        self.write_record(record, now)
+    }
+
+    fn write_record(&mut self, record: &[u8], now: i64) -> Result<u64> {
         let (last, n) = self.stream_position(CATALOG).unwrap_or_default();
-        let time = last.map_or_else(system_time, |last| {
-            system_time().max(last.saturating_add(1))
-        });
+        let time = last.map_or(now, |last| now.max(last.saturating_add(1)));
         let envelope = Envelope {
             sequence: n + 1,
             time,
             creation: time,
         };
-        let input = Input::Bytes(br#"{"kind":"end"}"#);
-        let written = self
-            .push_message(CATALOG, envelope, Encoding::Bytes, 0, input)
-            .and_then(|()| self.commit());
-        match written {
+        self.push_message(CATALOG, envelope, Encoding::Bytes, 0, Input::Bytes(record))?;
+        self.commit()
+    }
+
+    /// Writes a last record. If the index is lost, the record proves that all chunks before it were committed.
+    fn write_end_record(&mut self) -> Result<()> {
+        match self.write_record(br#"{"kind":"end"}"#, system_time()) {
             Err(Error::Crash) => Err(Error::Crash),
             // The disk is full, but the store is complete without the record.
             Err(_) => {
@@ -54,12 +61,7 @@ impl Writer {
         if !self.lanes[0].folder_has_index(&self.index.file) {
             return Err(Error::Deleted);
         }
-        self.streams.iter_mut().for_each(|stream| {
-            stream.pyramid.finish();
-            stream.track_bins.finish();
-        });
-        let pyramids =
-            (0..self.streams.len()).try_for_each(|number| self.write_pyramids(number, 1));
+        let pyramids = (0..self.streams.len()).try_for_each(|number| self.finish_pyramids(number));
         self.write_end_record()?;
         self.lanes.iter_mut().try_for_each(Lane::trim)?;
         if self.durability != Durability::None {

@@ -18,6 +18,17 @@ struct Bins {
     body: Vec<u8>,
 }
 
+/// If a level has no more bins than this, the levels above it are left out: readers compute them from these bins as
+/// fast as they would read them.
+const FEW_BINS: usize = 4;
+
+fn leave_out_short_levels<B>(ready: &mut Vec<(u8, Vec<B>)>, written: impl Fn(u8) -> u64) {
+    let short = |(k, bins): &(u8, Vec<B>)| written(*k) == 0 && bins.len() <= FEW_BINS;
+    if let Some(at) = ready.iter().position(short) {
+        ready.truncate(at + 1);
+    }
+}
+
 impl Writer {
     /// Writes bins that fill a chunk. If the disk is full, the bins wait, and the next message reports the error.
     pub(super) fn write_ready_pyramids(&mut self) -> Result<()> {
@@ -30,8 +41,16 @@ impl Writer {
         Ok(())
     }
 
-    pub(super) fn write_pyramids(&mut self, number: usize, least: usize) -> Result<()> {
-        let ready = self.streams[number].pyramid.take_ready(least);
+    /// Writes the bins that remain at the end.
+    pub(super) fn finish_pyramids(&mut self, number: usize) -> Result<()> {
+        self.streams[number].pyramid.finish();
+        self.streams[number].track_bins.finish();
+        self.write_pyramids(number, 1)
+    }
+
+    fn write_pyramids(&mut self, number: usize, least: usize) -> Result<()> {
+        let mut ready = self.streams[number].pyramid.take_ready(least);
+        self.leave_out_levels(number, 0, least, &mut ready);
         let encode = |_: &Stream, _: u8, bins: &[Bin]| {
             let mut body = Vec::with_capacity(bins.len() * BIN);
             bins.iter().for_each(|bin| bin.encode(&mut body));
@@ -40,7 +59,8 @@ impl Writer {
         self.write_levels(number, (0, Encoding::Bins), ready, encode, |stream| {
             &mut stream.pyramid
         })?;
-        let ready = self.streams[number].track_bins.take_ready(least);
+        let mut ready = self.streams[number].track_bins.take_ready(least);
+        self.leave_out_levels(number, TRACKS, least, &mut ready);
         let encode =
             |stream: &Stream, k: u8, bins: &[TrackBin]| tracks::encode_bins(bins, k, &stream.names);
         self.write_levels(
@@ -50,6 +70,19 @@ impl Writer {
             encode,
             |stream| &mut stream.track_bins,
         )
+    }
+
+    fn leave_out_levels<B>(
+        &self,
+        number: usize,
+        above: u8,
+        least: usize,
+        ready: &mut Vec<(u8, Vec<B>)>,
+    ) {
+        if least == 1 {
+            let stream = &self.streams[number];
+            leave_out_short_levels(ready, |k| stream.bins[(above + k) as usize]);
+        }
     }
 
     /// Writes complete bins of levels. Bins that could not be written are kept for the next time.

@@ -58,6 +58,10 @@ impl Stream {
 
     /// Records a message for the tracks. Only small messages are inspected.
     pub fn note_message(&mut self, time: i64, encoding: Encoding, input: &Input<'_>) {
+        // Numbers have their own pyramid.
+        if matches!(encoding, Encoding::Int | Encoding::Float) {
+            return self.pending_times.push((time, 0));
+        }
         let before = self.pending_values.len();
         let (value, body): (Value, &[u8]) = match input {
             Input::Bool(value) => (Value::Bool(*value), &[]),
@@ -65,7 +69,6 @@ impl Stream {
                 let (start, length) = (0, bytes.len());
                 (Value::Bytes { start, length }, bytes)
             }
-            // Numbers have their own pyramid.
             _ => (Value::Int(0), &[]),
         };
         tracks::collect_values(

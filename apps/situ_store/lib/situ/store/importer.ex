@@ -56,7 +56,16 @@ defmodule Situ.Store.Importer do
   ]
 
   @enforce_keys [:store, :pipeline, :head]
-  defstruct [:store, :pipeline, :head, :period, keep_open: false, skip_damage: false]
+  defstruct [
+    :store,
+    :pipeline,
+    :head,
+    :period,
+    closed?: false,
+    keep_open: false,
+    skip_damage: false
+  ]
+
   @type t :: %__MODULE__{}
 
   @doc false
@@ -75,6 +84,7 @@ defmodule Situ.Store.Importer do
       store: store,
       pipeline: p,
       head: Playhead.new(),
+      closed?: Query.closed?(store),
       period: loop_period(p, store, opts[:loop]),
       keep_open: opts[:keep_open],
       skip_damage: opts[:skip_damage]
@@ -123,7 +133,7 @@ defmodule Situ.Store.Importer do
   defp add_source(importer, info, opts) do
     type = opts[:type]
     if type, do: check_type!(info, type)
-    live? = Query.live?(importer.store)
+    live? = not importer.closed? and Query.live?(importer.store)
 
     last = if importer.period, do: :unbounded, else: info.last
 

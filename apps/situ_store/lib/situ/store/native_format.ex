@@ -4,19 +4,17 @@ defmodule Situ.Store.NativeFormat do
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 
-  alias Situ.{Error, Message}
+  alias Situ.Error
   alias Situ.Store.CatalogCache
   alias Situ.Store.Summary.Bins
 
   alias Situ.Store.{
-    Codecs,
     Columns,
     NativeErrors,
     Folder,
     Native,
-    StreamInfo,
-    TermCodec,
-    Undecoded
+    StoredMessages,
+    StreamInfo
   }
 
   defstruct [:ref, :path]
@@ -144,11 +142,8 @@ defmodule Situ.Store.NativeFormat do
     bytes = if opts[:exact], do: 0, else: @read_bytes
 
     case Native.read(state.ref, info.id, ordinal, clamp_time(to), limit, bytes) do
-      {:ok, [{0, list}], next} ->
-        {:ok, build_messages(list, info.id), next}
-
       {:ok, runs, next} ->
-        {:ok, Enum.flat_map(runs, &decode_run(&1, info)), next}
+        {:ok, StoredMessages.build_messages(runs, info), next}
 
       {:error, reason} ->
         if opts[:skip_damage],
@@ -192,43 +187,6 @@ defmodule Situ.Store.NativeFormat do
   @spec clamp_time(Situ.Time.t() | :unbounded) :: Situ.Time.t()
   def clamp_time(:unbounded), do: @longest
   def clamp_time(time), do: time |> max(-@longest) |> min(@longest)
-
-  defp build_messages(list, id), do: Enum.map(list, &build_message(&1, id))
-
-  defp build_message({sequence, time, creation, data}, id) do
-    %Message{
-      data: data,
-      originating_time: time,
-      creation_time: creation,
-      sequence_id: sequence,
-      source_id: id
-    }
-  end
-
-  # Tuples of five elements contain data that could not be decoded as a plain term.
-  defp build_message({sequence, time, creation, :undecodable, reason}, id),
-    do: build_message({sequence, time, creation, %Undecoded{reason: reason}}, id)
-
-  defp build_message({sequence, time, creation, :unknown, {modules, bytes, term}}, id),
-    do:
-      build_message(
-        {sequence, time, creation, TermCodec.resolve_structs(modules, bytes, term)},
-        id
-      )
-
-  defp decode_run({0, list}, info), do: build_messages(list, info.id)
-
-  defp decode_run({number, list}, info) do
-    {name, module_name} = Map.get(info.codecs, number, {nil, nil})
-    module = name && Codecs.find_module(name, module_name)
-
-    for {sequence, time, creation, bytes} <- list,
-        do:
-          build_message(
-            {sequence, time, creation, Codecs.decode_payload(module, name, bytes)},
-            info.id
-          )
-  end
 
   @impl true
   def summary(state, info, from, to, pixels) do

@@ -23,7 +23,7 @@ defmodule Situ.Store.Writer do
   | `:each` | nothing is lost | no messages for which `append/2` has returned | two `fdatasync` per commit: 1 to 10 ms on most disks |
 
   "Nothing is lost" refers to committed data. Data is committed when `append/2` returns. A pipeline collects data for up
-  to 20 ms before it appends (`Situ.Store.write/4`); with `:each`, every delivery is appended immediately. Disks that
+  to 20 ms before it commits (`Situ.Store.write/4`); with `:each`, every delivery is committed immediately. Disks that
   misreport the state of their cache lose more.
 
   When `append/2` returns, the messages are committed. Readers in any process see them, and a kill of this process does
@@ -370,24 +370,11 @@ defmodule Situ.Store.Writer do
   end
 
   @doc false
-  # Appends a record to stream 0, whose times must increase even if the clock is set back.
+  # Appends a record to stream 0. Its time is now, or just after the last record if the clock was set back.
   @spec append_catalog(t(), map()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def append_catalog(writer, record) do
-    {:ok, {last, n}} = Native.writer_position(writer.ref, 0)
-    now = Situ.Time.now()
-    time = if last, do: max(now, last + 1), else: now
-
-    message = %Message{
-      data: Catalog.encode_record(record),
-      originating_time: time,
-      creation_time: time,
-      sequence_id: n + 1
-    }
-
-    case Native.writer_append(writer.ref, 0, [[message]]) do
-      # Another record was appended at the same time, so try again with a later time.
-      {:error, {:not_increasing, 0, _, _}} -> append_catalog(writer, record)
-      result -> NativeErrors.wrap_error(result, writer.path)
-    end
+    writer.ref
+    |> Native.writer_record(Catalog.encode_record(record), Situ.Time.now())
+    |> NativeErrors.wrap_error(writer.path)
   end
 end

@@ -35,4 +35,67 @@ defmodule Situ.Store.SinkTest do
 
     assert Exception.message(error) =~ "process id"
   end
+
+  test "numbers, other data and large binaries of one stream stay in order", %{tmp_dir: root} do
+    large = String.duplicate("x", 100_000)
+    data = Enum.to_list(1..5_000) ++ [0.5, nil, %{a: 1}, "short", large, {:b, 2}] ++ [7, 8]
+    :ok = record(root, "mixed", %{"s" => data})
+    assert recorded(root, "mixed", "s") == data
+  end
+
+  test "one commit writes many streams, and each is complete", %{tmp_dir: root} do
+    streams =
+      for k <- 1..60, into: %{} do
+        data = for i <- 1..(k * 20), do: if(rem(k, 2) == 0, do: i * k, else: "#{i} of #{k}")
+        {"s#{k}", data}
+      end
+
+    :ok = record(root, "wide", streams)
+    for {name, data} <- streams, do: assert(recorded(root, "wide", name) == data)
+  end
+
+  test "messages are committed while their pipeline waits for more", %{tmp_dir: root} do
+    {:ok, p} =
+      Pipeline.start_link(fn p ->
+        exporter = Store.create(p, "live", root)
+
+        for name <- ["a", "b"],
+            do: p |> Situ.timer(every: Situ.Time.s(2)) |> Store.write(exporter, name)
+      end)
+
+    store = Store.open!(Path.join(root, "live"))
+    for name <- ["a", "b"], do: assert([_ | _] = await_messages(store, name, 0))
+    assert Store.info(store).live?
+    assert {:ok, _report} = Pipeline.stop(p)
+  end
+
+  defp await_messages(store, name, known) do
+    case Enum.to_list(Store.messages(store, name)) do
+      [] ->
+        Store.notify(store, known)
+        assert_receive {:situ_store, 0, {:published, n}}, 10_000
+        await_messages(store, name, n)
+
+      messages ->
+        messages
+    end
+  end
+
+  defp record(root, name, streams) do
+    {:ok, _} =
+      Pipeline.run(fn p ->
+        exporter = Store.create(p, name, root)
+
+        for {stream, data} <- streams do
+          rows = for {value, i} <- Enum.with_index(data, 1), do: {i * 1_000, value}
+          p |> Situ.from_enumerable(rows) |> Store.write(exporter, stream)
+        end
+      end)
+
+    :ok
+  end
+
+  defp recorded(root, name, stream) do
+    root |> Path.join(name) |> Store.open!() |> Store.messages(stream) |> Enum.map(& &1.data)
+  end
 end
