@@ -40,9 +40,10 @@ defmodule Situ.Pipeline do
   ## Recompiling
 
   When the module of a running pipeline is recompiled (`r Lobby` in IEx), its operators switch to the new functions and
-  keep their state, even while the pipeline is starting. This takes about 50 ms, and longer on a busy machine. The VM
-  keeps two versions of a module, so compiling it twice within that time ends the pipeline with a `BadFunctionError`.
-  Functions given as `&Module.name/1` always use the newest version and have no such limit.
+  keep their state, even while the pipeline is starting. The compiler waits until they have switched, so a module can be
+  recompiled any number of times. The VM keeps two versions of a module: if an operator takes longer than five seconds
+  for one message, a second compilation ends the pipeline with a `BadFunctionError`. Functions given as `&Module.name/1`
+  always use the newest version and have no such limit.
 
   ## Building from outside
 
@@ -58,7 +59,7 @@ defmodule Situ.Pipeline do
       :not_running
   """
   alias Situ.{Argument, Error, Graph, Node, Stream}
-  alias Situ.Application.Directory
+  alias Situ.Application.{CodeReload, Directory}
   alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Client, Launcher, Report}
 
@@ -76,12 +77,18 @@ defmodule Situ.Pipeline do
   defmacro __using__(_opts) do
     quote do
       @behaviour Situ.Pipeline
+      @after_compile Situ.Pipeline
 
       def child_spec(opts), do: Situ.Pipeline.child_spec({__MODULE__, opts})
       def start_link(opts), do: Situ.Pipeline.start_link(__MODULE__, opts)
       defoverridable child_spec: 1
     end
   end
+
+  # The compiler calls this after it has loaded a new version of the pipeline's module.
+  @doc false
+  def __after_compile__(%Macro.Env{module: module}, _bytecode),
+    do: CodeReload.await_reload(module)
 
   @doc "Returns a child specification for `{module_or_fun, opts}`; it is transient, so failures restart the pipeline."
   @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
@@ -157,7 +164,7 @@ defmodule Situ.Pipeline do
   diagnostics list its components as `:closed`. A stopped part cannot be started again.
 
   The stopped part no longer affects when the pipeline ends. The remaining sources decide that; if there are none, the
-  pipeline stops as after `stop/2`. The options are those of `stop/2`. Returns `:ok` when the whole part has closed;
+  pipeline stops as after `stop/2`. It takes the options of `stop/2`. Returns `:ok` when the whole part has closed;
   called from inside one of the pipeline's own components, it returns immediately.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
@@ -360,7 +367,7 @@ defmodule Situ.Pipeline do
 
   @doc """
   Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are the component's options
-  and those of `Situ.Graph.Placement`.
+  and the options of `Situ.Graph.Placement`.
 
   `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log with whole seconds):
   `:error` (the default), `:drop` to drop the later message, or `:nudge` to move it to 1 ns after the previous one. A

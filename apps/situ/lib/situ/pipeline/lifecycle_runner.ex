@@ -209,15 +209,11 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp perform_action({:handle, event, argument}, state),
     do: call_handlers(state, event, argument)
 
+  # No stage may begin with functions of an earlier version, so the plan waits for the functions of the newest.
   defp perform_action(:plan, state) do
-    case Plan.compile(state.graph) do
-      {:ok, plan} ->
-        {state, members} = Stages.install_plan(state, plan)
-        state = resend_early(state)
-        __MODULE__.apply_event(state, {:planned, members, state.wires.links})
-
-      {:error, error} ->
-        __MODULE__.apply_event(state, {:plan_failed, error})
+    case Dynamic.Reload.begin(state) do
+      %{code: {_version, nil}} = state -> plan_graph(state)
+      state -> state
     end
   end
 
@@ -263,6 +259,17 @@ defmodule Situ.Pipeline.LifecycleRunner do
       call_handlers(state, :progress, state.view.progress)
     else
       state
+    end
+  end
+
+  defp plan_graph(state) do
+    case Plan.compile(state.graph) do
+      {:ok, plan} ->
+        {state, members} = Stages.install_plan(state, plan)
+        __MODULE__.apply_event(state, {:planned, members, state.wires.links})
+
+      {:error, error} ->
+        __MODULE__.apply_event(state, {:plan_failed, error})
     end
   end
 

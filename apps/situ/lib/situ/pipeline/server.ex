@@ -68,6 +68,11 @@ defmodule Situ.Pipeline.Server do
 
   # Requests
 
+  defp handle_request(:reload, _from, state) do
+    state = begin_reload(state)
+    {:reply, Dynamic.Reload.process(state), state}
+  end
+
   defp handle_request({:build, change}, _from, %{life: %{phase: :building}} = state) do
     {:reply, {:ok, Builder.update_graph(state.handle, change)}, state}
   rescue
@@ -255,22 +260,10 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
-  # The module that built the pipeline has a new version, so another process builds it again to obtain its functions.
-  # No stage can use them before the graph is planned; until then the message is deferred.
-  defp handle_message(:situ_reloaded, %{life: %{step: step}} = state)
-       when step in [:build, :handlers],
-       do: {:noreply, defer_message(:situ_reloaded, state)}
+  defp handle_message(:situ_reloaded, state), do: {:noreply, begin_reload(state)}
 
-  defp handle_message(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
-    Handlers.rebuild_graph(origin, state.handle)
-    {:noreply, state}
-  end
-
-  defp handle_message({:situ_rebuilt, graph}, %{life: %{phase: phase}} = state)
-       when phase in [:starting, :running] do
-    state = %{state | graph: Handlers.replace_handlers(state.graph, graph)}
-    {:noreply, state |> Dynamic.Guarantee.reload(graph) |> Dynamic.Replacement.reload(graph)}
-  end
+  defp handle_message({:situ_rebuilt, process, result}, state),
+    do: continue_plan(Dynamic.Reload.finish(state, process, result))
 
   defp handle_message({:situ_checkpoint, ref}, state),
     do: {:noreply, PendingCheckpoint.poll_progress(state, ref)}
@@ -280,6 +273,10 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_message({:situ_late, ref, timeout}, state),
     do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
+
+  # A process that renews functions was killed. Normally it has already reported.
+  defp handle_message({:EXIT, pid, _reason}, %{code: {_version, pid}} = state),
+    do: continue_plan(Dynamic.Reload.finish(state, pid, :error))
 
   defp handle_message({:EXIT, pid, reason}, state),
     do: state |> LifecycleRunner.handle_exit(pid, reason) |> Termination.stop_if_finished()
@@ -357,6 +354,19 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Dynamic.Replacement.handle_reply(state, id, ref, answer)}
 
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
+
+  # A graph that is not planned yet is renewed when it is planned.
+  defp begin_reload(%{life: %{phase: phase, step: step}} = state)
+       when phase in [:starting, :running] and step != :handlers,
+       do: Dynamic.Reload.begin(state)
+
+  defp begin_reload(state), do: state
+
+  # The plan waits for new functions.
+  defp continue_plan(%{life: %{step: :handlers}, code: {_version, nil}} = state),
+    do: apply_event(state, {:handled, :run, :ok})
+
+  defp continue_plan(state), do: {:noreply, state}
 
   # Results
 

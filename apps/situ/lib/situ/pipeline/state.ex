@@ -8,7 +8,8 @@ defmodule Situ.Pipeline.State do
   #   dynamic   pending requests that change the running pipeline
   #   view      the data kept for inspection: Situ.Pipeline.Inspection
   #   waiters   callers that wait for the end
-  #   early     messages deferred until the graph is planned, or until the pipeline is running
+  #   early     messages deferred until the pipeline is running
+  #   code      the version of the pipeline's module, and the process that renews its functions: Dynamic.Reload
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
   alias Situ.Lifecycle.{Errors, Addition}
@@ -30,7 +31,8 @@ defmodule Situ.Pipeline.State do
     wires: %{links: %{}, counters: %{}},
     dynamic: %Dynamic{},
     waiters: [],
-    early: []
+    early: [],
+    code: {nil, nil}
   ]
 
   @typedoc "An output: its vertex and its name."
@@ -61,7 +63,8 @@ defmodule Situ.Pipeline.State do
           wires: %{links: %{term() => map()}, counters: %{term() => Situ.Ports.Counters.t()}},
           dynamic: Dynamic.t(),
           waiters: [GenServer.from()],
-          early: [term()]
+          early: [term()],
+          code: {binary() | nil, pid() | nil}
         }
 
   @spec new(Settings.t()) :: t()
