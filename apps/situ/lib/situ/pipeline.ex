@@ -161,10 +161,11 @@ defmodule Situ.Pipeline do
   At the time of the stop, the part's sources stop and its inputs from outside close; it still receives the messages
   posted up to then. Its outputs close at that time, upstream first, so listeners outside see the end of those streams
   (`handle_closed/4` is called, windows and joins flush). Its processes end and release their devices and files, and
-  diagnostics list its components as `:closed`. A stopped part cannot be started again.
+  diagnostics list its components as `:closed`. `start_part/3` starts the part again; with `checkpoint: true`, it can
+  start with the state that it had when it stopped.
 
   The stopped part no longer affects when the pipeline ends. The remaining sources decide that; if there are none, the
-  pipeline stops as after `stop/2`. It takes the options of `stop/2`. Returns `:ok` when the whole part has closed;
+  pipeline stops as after `stop/2`. It also takes the options of `stop/2`. Returns `:ok` when the whole part has closed;
   called from inside one of the pipeline's own components, it returns immediately.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
@@ -186,6 +187,45 @@ defmodule Situ.Pipeline do
   """
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
+
+  @doc """
+  Starts a part again that was stopped with `stop_part/3`, or has ended by itself, while the rest of the pipeline keeps
+  running.
+
+  With `from: :fresh` (the default), its components start with their initial state. With `from: :checkpoint`, they start
+  with the state that they had when the part was stopped with `checkpoint: true`: sources continue after the last
+  message that they posted, and no message is posted twice. Windows and joins have flushed what they held.
+
+  Its inputs receive the messages from now on; they miss the messages between the stop and this call. Streams inside the
+  part are connected again. Components outside have seen the end of the part's streams and receive nothing more: stop
+  and start them again after the part, or add new ones with `extend/2`.
+
+      iex> me = self()
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   ticks = Situ.timer(p, every: Situ.Time.ms(1))
+      ...>   Situ.composite(ticks, "Side", fn ticks ->
+      ...>     ticks |> Situ.scan(0, fn _, n -> n + 1 end) |> Situ.each(&send(me, {:count, &1}))
+      ...>   end)
+      ...>   Situ.each(ticks, & &1)
+      ...> end)
+      iex> receive do {:count, 5} -> :ok end
+      iex> :ok = Situ.Pipeline.stop_part(p, "Side", checkpoint: true)
+      iex> :ok = Situ.Pipeline.start_part(p, "Side", from: :checkpoint)
+      iex> receive do {:count, n} when n > 5 -> :counting end
+      :counting
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  When this function returns, either the whole part is running or none of it. If the part is still being stopped, the
+  call waits. `timeout:` limits how long the caller waits.
+
+  Errors: `:unknown_component`; `:still_running` if a component of the part is running; `:no_checkpoint` if a component
+  reported no state when it stopped, and `:no_snapshot` if its state is not plain data; `:not_running`; and errors of
+  `init/1` and `handle_start/2`.
+  """
+  @spec start_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
+  def start_part(p, part, opts \\ []), do: Client.start_part(p, part, opts)
 
   @doc """
   Adds components to a running pipeline. `fun` receives a handle and builds as `build/2` does. The new components may

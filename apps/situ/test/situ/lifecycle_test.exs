@@ -143,6 +143,29 @@ defmodule Situ.LifecycleTest do
     end
   end
 
+  property "parts start again: each caller gets one reply, and no stage has two processes",
+    numtests: 300 do
+    wishes = [
+      {:part, list(integer(1, 10))},
+      {:start, list(integer(1, 10))},
+      {:start, list(one_of([integer(1, 10), integer(100, 104)]))},
+      {:remove, list(integer(1, 10))},
+      {:grow, :restart},
+      {:refuse, integer(1, 10)},
+      {:kill, integer(1, 10)},
+      {:tap, 1}
+    ]
+
+    forall {spec, wishes, seed} <- {graph(), list(one_of(wishes)), integer(1, 1_000_000)} do
+      world = World.live(made(spec), wishes ++ [{:stop, 3}], seed)
+      assert world.life.phase == :completed
+      assert world.life.growths == %{}
+      asked = for {:event, {:start_part, _, _, _, from}} <- world.log, do: from
+      answered = for {:action, {:reply, {:starter, _} = from, _}} <- world.log, do: from
+      assert Enum.sort(answered) == Enum.sort(asked)
+    end
+  end
+
   property "each caller that stops a part gets one reply", numtests: 100 do
     forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
       world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)

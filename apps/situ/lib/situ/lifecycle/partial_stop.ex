@@ -14,7 +14,8 @@ defmodule Situ.Lifecycle.PartialStop do
   @typedoc """
   A part that is being stopped. `ids` are its stages, and `pending` are its sources that have yet to stop. `error` is
   the first error during the stop. `forget` holds the stages to remove with it, including stages that ended before.
-  `waits_for` lists other parts that contain some of these stages and are still being stopped.
+  `waits_for` lists other parts that contain some of these stages and are still being stopped. With `checkpoint?`, its
+  stages report snapshots with which they can start again.
   """
   @type t :: %{
           ids: MapSet.t(State.id()),
@@ -23,6 +24,7 @@ defmodule Situ.Lifecycle.PartialStop do
           from: GenServer.from() | nil,
           forget: [State.id()],
           waits_for: [reference() | {:unit, String.t()}],
+          checkpoint?: boolean(),
           error: Error.t() | nil
         }
 
@@ -45,6 +47,7 @@ defmodule Situ.Lifecycle.PartialStop do
         update_member(state, id, &limit_member(&1, final))
       end)
 
+    state = if opts[:checkpoint?], do: request_snapshots(state, ids), else: state
     state = send_to_stages(state, sources, {:stop, final})
 
     forget = Map.get(opts, :forget, [])
@@ -57,6 +60,7 @@ defmodule Situ.Lifecycle.PartialStop do
       from: from,
       forget: forget,
       waits_for: earlier,
+      checkpoint?: Map.get(opts, :checkpoint?, false),
       error: nil
     }
 
@@ -67,6 +71,17 @@ defmodule Situ.Lifecycle.PartialStop do
     }
     |> add_action({:after, catch_up, {:part_enough, ref}})
     |> add_action({:watch, state.limits.stop_timeout, ref})
+  end
+
+  # A source that is asked to stop forgets its later timers and messages, so its position is the one before the stop.
+  # Every stage reports its final state when it closes; one that has closed already does so now.
+  defp request_snapshots(state, ids) do
+    sources = for id <- ids, state.stages[id].source?, do: id
+    closed = for id <- ids, not state.stages[id].open?, do: id
+
+    state
+    |> send_to_stages(sources, {:remember, {:stopped, :before}})
+    |> send_to_stages(closed, {:remember, {:stopped, :after}})
   end
 
   defp limit_member(member, time), do: %{member | limit: min(member.limit || time, time)}

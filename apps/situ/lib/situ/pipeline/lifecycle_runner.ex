@@ -56,6 +56,17 @@ defmodule Situ.Pipeline.LifecycleRunner do
       else: state
   end
 
+  @doc "Handles a stage that failed to initialize. Its process ends by itself, so its stage is free for another one."
+  @spec handle_init_failure(State.t(), pos_integer(), Error.t()) :: State.t()
+  def handle_init_failure(state, id, error) do
+    %{pid: pid} = state.stages[id]
+
+    state
+    |> fail_pending(id)
+    |> __MODULE__.apply_event({:init_failed, id, error})
+    |> handle_exit(pid, :normal)
+  end
+
   @doc "Fails the requests of all callers that wait for this stage."
   @spec fail_pending(State.t(), pos_integer()) :: State.t()
   def fail_pending(state, id) do
@@ -131,6 +142,16 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp perform_action({:cut, ids, time}, state), do: Stages.limit_stages(state, ids, time)
 
   defp perform_action({:lend, tag}, state), do: Extension.lend_output(state, tag)
+
+  defp perform_action({:reset, ref, ids, from}, state) do
+    {result, state} =
+      case Stages.reset_stages(state, ids, from) do
+        {:ok, state} -> {:ok, state}
+        {:error, error} -> {{:error, error}, state}
+      end
+
+    __MODULE__.apply_event(state, {:reset, ref, result})
+  end
 
   # A stage whose process is still alive leaves when the process ends.
   defp perform_action({:forget, ids}, state) do

@@ -29,7 +29,7 @@ defmodule Situ.Pipeline.Server do
 
   # These requests wait until a starting pipeline is running.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
-             [:checkpoint]
+             [:start_part, :checkpoint]
 
   @impl true
   def init(_), do: :ignore
@@ -196,6 +196,13 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
+  defp handle_running_request({:start_part, path, how}, from, state) do
+    case State.fetch_stopped_part(state, path) do
+      {:ok, ids} -> apply_event(state, {:start_part, make_ref(), ids, how, from})
+      {:error, error} -> {:reply, {:error, error}, state}
+    end
+  end
+
   # Without pacing no message waits for the clock, so the clock cannot be controlled.
   defp handle_running_request({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
     do: {:reply, {:error, Errors.not_paced()}, state}
@@ -212,10 +219,9 @@ defmodule Situ.Pipeline.Server do
   defp handle_running_request(_request, _from, state),
     do: {:reply, {:error, Errors.unknown_request()}, state}
 
-  defp stop_part_event(path, %{catch_up: catch_up, forget?: forget?}, from, state) do
+  defp stop_part_event(path, %{forget?: forget?} = how, from, state) do
     with {:ok, %{ids: ids, forget: forget}} <- State.fetch_part(state, path, forget?),
-         do:
-           {:ok, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from, forget: forget}}}
+         do: {:ok, {:stop_part, make_ref(), ids, Map.merge(how, %{from: from, forget: forget})}}
   end
 
   defp defer_message(message, state), do: %{state | early: [message | state.early]}
@@ -320,7 +326,7 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(state, {:failed, id, LifecycleRunner.explain_error(error, state), reached})
 
   defp handle_stage_message({:init_failed, error}, id, state),
-    do: state |> LifecycleRunner.fail_pending(id) |> apply_event({:init_failed, id, error})
+    do: state |> LifecycleRunner.handle_init_failure(id, error) |> Termination.stop_if_finished()
 
   defp handle_stage_message({:skipped, error}, _id, state),
     do: {:noreply, LifecycleRunner.report_error(state, error)}
@@ -346,6 +352,9 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_stage_message({:detached, input, opts}, id, state),
     do: apply_dynamic(Dynamic.Input.handle_detached(state, id, input, opts))
+
+  defp handle_stage_message({:remembered, {:stopped, moment}, result}, id, state),
+    do: {:noreply, Stages.put_stopped_snapshot(state, id, moment, result)}
 
   defp handle_stage_message({:remembered, ref, answer}, id, state),
     do: {:noreply, PendingCheckpoint.handle_snapshot(state, id, ref, answer)}

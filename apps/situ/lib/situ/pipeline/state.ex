@@ -45,7 +45,9 @@ defmodule Situ.Pipeline.State do
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
           tail: Situ.Ports.Counters.t() | nil,
-          started: Situ.Time.t() | nil
+          started: Situ.Time.t() | nil,
+          memory: Situ.Stage.Checkpoint.t() | nil,
+          stopped: %{(:before | :after) => {:ok, Situ.Stage.Checkpoint.t()} | {:error, Error.t()}}
         }
 
   @type t :: %__MODULE__{
@@ -179,7 +181,7 @@ defmodule Situ.Pipeline.State do
       chosen == [] ->
         {:error, ended_error(path)}
 
-      Enum.any?(inside, &Addition.find_ref(state.life, &1.id)) ->
+      Enum.any?(inside, &Addition.adding?(state.life, &1.id)) ->
         {:error, still_added_error(path)}
 
       stage = Enum.find(chosen, &shared_with_outside?(&1, path)) ->
@@ -190,6 +192,16 @@ defmodule Situ.Pipeline.State do
 
       true ->
         {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
+    end
+  end
+
+  @doc "Returns the stages below `path`, all of which have ended or are being stopped."
+  @spec fetch_stopped_part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
+  def fetch_stopped_part(state, path) do
+    case fetch_part(state, path, true) do
+      {:ok, %{ids: [], forget: inside}} -> {:ok, inside}
+      {:ok, _running} -> {:error, part_running_error(path)}
+      {:error, error} -> {:error, error}
     end
   end
 
@@ -222,9 +234,15 @@ defmodule Situ.Pipeline.State do
     )
   end
 
+  defp part_running_error(path) do
+    Error.new(:still_running, "#{path} cannot be started because a part of it is running",
+      fix: "stop all of it first, with Situ.Pipeline.stop_part/3"
+    )
+  end
+
   defp still_added_error(path) do
-    Error.new(:not_running, "#{path} is still being added",
-      fix: "wait until Situ.Pipeline.extend/2 has returned"
+    Error.new(:not_running, "#{path} is still being added or started",
+      fix: "wait until Situ.Pipeline.extend/2 or Situ.Pipeline.start_part/3 has returned"
     )
   end
 
