@@ -229,7 +229,9 @@ defmodule Situ.Lifecycle do
   defp handle_process_exit({:exited, id, error, reached}, state, now) do
     cond do
       state.stages[id].status == :restarting ->
-        RestartGroup.handle_exit(state, id, now)
+        if PartialStop.find_ref(state, id),
+          do: PartialStop.handle_shutdown(state, id, now),
+          else: RestartGroup.handle_exit(state, id, now)
 
       fails_with_unit?(state.stages[id]) and RestartGroup.find_unit(state, id) ->
         RestartGroup.handle_failure(state, id, error, false, now)

@@ -178,6 +178,65 @@ defmodule Situ.LifecycleTest do
     end
   end
 
+  # A composite of two stages after a source; one of them has ended for a restart.
+  defp restarting(pending) do
+    alias Situ.Lifecycle.{Links, Member, State}
+
+    member = fn id, how ->
+      unit = if id > 1, do: {"Unit", :restart}
+      struct!(%Member{id: id, path: "S#{id}", source?: id == 1, up?: true, unit: unit}, how)
+    end
+
+    %State{
+      phase: :running,
+      step: :running,
+      stages: %{
+        1 => member.(1, []),
+        2 => member.(2, status: :restarting, alive?: false),
+        3 => member.(3, status: :restarting, alive?: pending)
+      },
+      links: Links.new(%{1 => link(1, 2), 2 => link(2, 3)})
+    }
+  end
+
+  defp link(from, to), do: %{from: from, to: to, output: :out, id: from}
+
+  defp apply_events(life, events) do
+    Enum.flat_map_reduce(events, life, fn event, life ->
+      {life, actions} = Situ.Lifecycle.apply_event(life, event, 9)
+      {actions, life}
+    end)
+  end
+
+  defp exited(id), do: {:exited, id, Situ.Error.new(:component_killed, "S#{id}"), nil}
+
+  test "stages that have ended for a restart close if the pipeline stops before it" do
+    {actions, life} = apply_events(restarting(true), [{:stop, 0}, exited(3)])
+    assert %{2 => %{status: :dead}, 3 => %{status: :dead}} = life.stages
+    refute Enum.any?(actions, &match?({:spawn, _}, &1))
+  end
+
+  test "a part that is restarting can be stopped, and does not restart" do
+    opts = %{catch_up: 0, from: :caller}
+
+    {actions, life} =
+      apply_events(restarting(true), [{:stop_part, :ref, [2, 3], opts}, exited(3)])
+
+    assert {:reply, :caller, :ok} in actions
+    refute Enum.any?(actions, &match?({:spawn, _}, &1))
+    assert life.parts == %{}
+  end
+
+  test "a stage that starts while its part is being stopped gets the closing mark again" do
+    life = put_in(restarting(true).stages[2].status, :running)
+    life = put_in(life.stages[2].alive?, true)
+    life = put_in(life.stages[2].again?, true)
+    life = put_in(life.stages[3].status, :running)
+    opts = %{catch_up: 0, from: :caller}
+    {actions, _life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
+    assert {:tell, 2, {:peer_gone, 1, 9}} in actions
+  end
+
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))

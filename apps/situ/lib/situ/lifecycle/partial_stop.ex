@@ -32,15 +32,15 @@ defmodule Situ.Lifecycle.PartialStop do
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
-    sources = for id <- ids, state.stages[id].source?, do: id
-    state = add_action(state, {:cut, MapSet.to_list(ids), final})
+    state = state |> abandon_restart(ids, final) |> add_action({:cut, MapSet.to_list(ids), final})
+    sources = for id <- ids, %{source?: true, alive?: true} <- [state.stages[id]], do: id
 
     state =
       for id <- ids,
           {tag, link} <- Links.list_incoming(state.links, id),
           not MapSet.member?(ids, link.from),
           reduce: state,
-          do: (state -> send_to_stages(state, [link.from], {:cut, tag, final}))
+          do: (state -> close_link(state, tag, link, final))
 
     state =
       Enum.reduce(ids, state, fn id, state ->
@@ -73,8 +73,21 @@ defmodule Situ.Lifecycle.PartialStop do
     |> add_action({:watch, state.limits.stop_timeout, ref})
   end
 
+  # A consumer that is just restarting may miss the closing mark; it receives another one when it has started.
+  defp close_link(state, tag, link, time) do
+    state = send_to_stages(state, [link.from], {:cut, tag, time})
+    %{state | links: Links.close_link(state.links, tag, time)}
+  end
+
+  # Stages that were to restart with their composite no longer do; running stages end as they were asked to.
+  defp abandon_restart(state, ids, time) do
+    for id <- ids, %{status: :restarting, alive?: false} <- [state.stages[id]], reduce: state do
+      state -> Failure.close_dead_stage(state, id, time)
+    end
+  end
+
   # A source that is asked to stop forgets its later timers and messages, so its position is the one before the stop.
-  # Every stage reports its final state when it closes; one that has closed already does so now.
+  # Every stage reports its final state when it closes; a stage that has closed already does so now.
   defp request_snapshots(state, ids) do
     sources = for id <- ids, state.stages[id].source?, do: id
     closed = for id <- ids, not state.stages[id].open?, do: id
@@ -101,6 +114,11 @@ defmodule Situ.Lifecycle.PartialStop do
     parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
     %{state | parts: parts}
   end
+
+  @doc "Handles the end of a stage that was to restart when its part was stopped."
+  @spec handle_shutdown(State.t(), State.id(), Situ.Time.t()) :: State.t()
+  def handle_shutdown(state, id, now),
+    do: state |> Failure.close_dead_stage(id, now) |> mark_source_stopped(id)
 
   @doc "Handles the death of a stage during the stop of its part; the other stages continue without it."
   @spec handle_stage_death(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) ::

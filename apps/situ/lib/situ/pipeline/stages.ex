@@ -95,7 +95,7 @@ defmodule Situ.Pipeline.Stages do
 
   @doc """
   Prepares stopped stages for a new start: afresh, or from the snapshots that they reported when they stopped. Returns
-  an error if one of them has no snapshot.
+  an error if a stage has no snapshot.
   """
   @spec reset_stages(State.t(), [pos_integer()], :fresh | :checkpoint) ::
           {:ok, State.t()} | {:error, Situ.Error.t()}

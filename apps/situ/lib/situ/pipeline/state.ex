@@ -176,7 +176,7 @@ defmodule Situ.Pipeline.State do
 
     cond do
       inside == [] ->
-        {:error, unknown_part_error(state, path)}
+        unknown_part(state, path)
 
       chosen == [] ->
         {:error, ended_error(path)}
@@ -199,9 +199,16 @@ defmodule Situ.Pipeline.State do
   @spec fetch_stopped_part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
   def fetch_stopped_part(state, path) do
     case fetch_part(state, path, true) do
-      {:ok, %{ids: [], forget: inside}} -> {:ok, inside}
-      {:ok, _running} -> {:error, part_running_error(path)}
-      {:error, error} -> {:error, error}
+      {:ok, %{ids: [], forget: inside}} ->
+        # A part that is being removed no longer has a name.
+        leaving = for {_ref, part} <- state.life.parts, id <- part.forget, do: id
+        if Enum.any?(inside, &(&1 in leaving)), do: unknown_part(state, path), else: {:ok, inside}
+
+      {:ok, _running} ->
+        {:error, part_running_error(path)}
+
+      {:error, error} ->
+        {:error, error}
     end
   end
 
@@ -211,7 +218,7 @@ defmodule Situ.Pipeline.State do
 
   defp stage_running?(id, %{life: %{stages: stages}}) do
     %{status: status, alive?: alive?} = stages[id]
-    alive? and status in [:running, :closed]
+    status == :restarting or (alive? and status in [:running, :closed])
   end
 
   defp vertex_within?(vertex, path),
@@ -219,6 +226,8 @@ defmodule Situ.Pipeline.State do
 
   defp shared_with_outside?(stage, path),
     do: not Enum.all?(stage.vertices, &vertex_within?(&1, path))
+
+  defp unknown_part(state, path), do: {:error, unknown_part_error(state, path)}
 
   defp unknown_part_error(state, path) do
     near = Options.nearest_name(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
