@@ -82,14 +82,18 @@ defmodule Situ.Fixture.ChangeModel do
     limits = %{fresh: fresh, continued: continued}
 
     {_last, turns, problems} =
-      Enum.reduce(entries, {nil, %{fresh: 0, continued: 0}, []}, &check_entry/2)
+      Enum.reduce(
+        entries,
+        {nil, %{fresh: 0, continued: 0}, []},
+        &check_entry(&1, &2, name == "Own")
+      )
 
     too_many = for {kind, n} <- turns, n > limits[kind], do: {kind, n, limits[kind]}
     if problems ++ too_many != [], do: {name, problems ++ too_many, entries: entries}
   end
 
-  defp check_entry({_process, {i, _n, _hash} = state} = entry, {last, turns, problems}) do
-    case judge(entry, last) do
+  defp check_entry({_process, {i, _n, _hash} = state} = entry, {last, turns, problems}, own?) do
+    case judge(entry, last, own?) do
       :same ->
         {entry, turns, problems}
 
@@ -101,17 +105,28 @@ defmodule Situ.Fixture.ChangeModel do
     end
   end
 
-  defp judge({process, {i, _, _} = state}, {process, {last, _, _} = before}),
+  defp judge({process, {i, _, _} = state}, {process, {last, _, _} = before}, _own_source?),
     do: if(i == last + 1 and state == step(i, before), do: :same, else: :wrong)
 
-  defp judge({_process, {i, _, _} = state}, before) do
+  # A part with its own source may begin again at zero.
+  defp judge({_process, {i, _, _} = state}, before, own_source?) do
     cond do
-      before != nil and i <= elem(elem(before, 1), 0) -> :wrong
-      state == step(i, new_state()) -> :fresh
-      before != nil and state == step(i, elem(before, 1)) -> :continued
-      true -> :wrong
+      before != nil and i <= elem(elem(before, 1), 0) and (i != 0 or not own_source?) ->
+        :wrong
+
+      state == step(i, new_state()) ->
+        :fresh
+
+      before != nil and state == step(i, elem(before, 1)) and not skips?(i, before, own_source?) ->
+        :continued
+
+      true ->
+        :wrong
     end
   end
+
+  # A source that continues skips nothing.
+  defp skips?(i, {_process, {last, _, _}}, own_source?), do: own_source? and i != last + 1
 
   # An operator that is killed restarts with a fresh state and loses the messages that it had received.
   defp find_victim_problem(entries, changes) do

@@ -16,7 +16,7 @@ defmodule Situ.Pipeline.TransactionsTest do
   @workers 3
   @changes 8
   @count 150
-  @parts ~w(A B C)
+  @parts ~w(A B Own)
   @kinds [:checkpoint, :extend, :kill, :remove, :replace, :stop, :tap]
   @settings [max_restarts: 1_000_000, stop_timeout: 20_000]
 
@@ -109,6 +109,7 @@ defmodule Situ.Pipeline.TransactionsTest do
     %{life: life} = :sys.get_state(p)
 
     stages = for {id, m} <- life.stages, m.added?, do: {id, m.path, m.status, m.alive?, m.open?}
+
     {life.phase, life.step, life.growths, life.parts, life.links.active, stages}
   end
 
@@ -119,6 +120,8 @@ defmodule Situ.Pipeline.TransactionsTest do
   end
 
   defp finish(p, clock, _else) do
+    # Its source has no end.
+    Pipeline.remove(p, "Own")
     Clock.jump(clock, Time.ms(@count + 10))
     result = Pipeline.await(p, 60_000)
     if match?({:error, %{code: :timeout}}, result), do: flunk(inspect(pending(p), limit: 400))
@@ -290,6 +293,13 @@ defmodule Situ.Pipeline.TransactionsTest do
   defp parent, do: hd(Process.get(:"$callers"))
 
   # Every shape passes the number of each message on.
+  defp build_part(stream, me, "Own" = name, _shape) do
+    stream.pipeline
+    |> Situ.from_enumerable(Stream.iterate(0, &(&1 + 1)), every: Time.ms(1))
+    |> Situ.scan(Model.new_state(), &Model.step/2, async: true)
+    |> add_sink(me, name)
+  end
+
   defp build_part(stream, me, name, shape) do
     stream
     |> shape_part(shape)
