@@ -32,7 +32,7 @@ defmodule Situ.Lifecycle.PartialStop do
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
-    state = state |> abandon_restart(ids, final) |> add_action({:cut, MapSet.to_list(ids), final})
+    state = state |> abandon_restart(ids, final) |> cut_stages(ids, final, opts)
     sources = for id <- ids, %{source?: true, alive?: true} <- [state.stages[id]], do: id
 
     state =
@@ -78,6 +78,12 @@ defmodule Situ.Lifecycle.PartialStop do
     state = send_to_stages(state, [link.from], {:cut, tag, time})
     %{state | links: Links.close_link(state.links, tag, time)}
   end
+
+  # For a checkpoint, messages that sources post before they handle the request count: their state includes them.
+  defp cut_stages(state, _ids, _final, %{checkpoint?: true}), do: state
+
+  defp cut_stages(state, ids, final, _opts),
+    do: add_action(state, {:cut, MapSet.to_list(ids), final})
 
   # Stages that were to restart with their composite no longer do; running stages end as they were asked to.
   defp abandon_restart(state, ids, time) do

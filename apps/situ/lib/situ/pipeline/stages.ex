@@ -102,7 +102,7 @@ defmodule Situ.Pipeline.Stages do
   def reset_stages(state, ids, from) do
     entries =
       Enum.reduce_while(ids, {:ok, %{}}, fn id, {:ok, entries} ->
-        case reset_entry(state.stages[id], from) do
+        case reset_entry(state.stages[id], from, state.life.stages[id].limit) do
           {:ok, entry} -> {:cont, {:ok, Map.put(entries, id, entry)}}
           {:error, error} -> {:halt, {:error, error}}
         end
@@ -116,12 +116,12 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  defp reset_entry(stage, :fresh),
+  defp reset_entry(stage, :fresh, _limit),
     do: {:ok, %{build_entry(stage.id, stage.vertices, stage.tail) | tally: stage.tally}}
 
-  defp reset_entry(%{vertices: [head | _]} = stage, :checkpoint) do
-    with {:ok, memory} <- StoppedSnapshot.merge(stage.stopped, final_time(stage), head) do
-      {:ok, entry} = reset_entry(stage, :fresh)
+  defp reset_entry(%{vertices: [head | _]} = stage, :checkpoint, limit) do
+    with {:ok, memory} <- StoppedSnapshot.merge(stage.stopped, limit, head) do
+      {:ok, entry} = reset_entry(stage, :fresh, limit)
       {:ok, %{entry | memory: memory, started: stage.started}}
     end
   end
@@ -133,8 +133,6 @@ defmodule Situ.Pipeline.Stages do
 
   defp new_marks(vertices),
     do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.new_marks()
-
-  defp final_time(%{control: cell}), do: :atomics.get(cell, 1)
 
   @doc "Builds the life cycle's record of a stage."
   @spec build_member(State.stage(), keyword()) :: Member.t()
