@@ -80,7 +80,8 @@ defmodule Situ do
   | `Situ.inspect/2`, `Situ.Pipeline.info/1` | queues, latencies and drops of every edge |
   | `attach_tap/3` | the messages of any stream, by its name |
   | `add_input/4`, `remove_input/3` | streams that are added to and removed from a join |
-  | `Situ.Pipeline.replace/3`, `Situ.Pipeline.stop_part/3` | a component's module or options; a part of the graph |
+  | `Situ.Pipeline.replace/3` | a component's module or options |
+  | `Situ.Pipeline.stop_part/3`, `Situ.Pipeline.start_part/3` | stop a part of the graph, and start it again |
 
   ## Next steps
 

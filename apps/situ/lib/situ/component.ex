@@ -133,6 +133,13 @@ defmodule Situ.Component do
               {:ok, state()} | {:error, Situ.Error.t()}
 
   @doc """
+  Returns the state with all inputs open again, for a part that starts again from its checkpoint
+  (`Situ.Pipeline.start_part/3`). Optional, for components that remember which inputs have closed. Functions in the
+  state are replaced by placeholders.
+  """
+  @callback reopen(state()) :: state()
+
+  @doc """
   Returns the state as plain data, for a checkpoint (`Situ.Pipeline.checkpoint/3`). Without this callback the state
   itself is taken, which then must not contain processes, ports or references. Called between messages; it must not
   change anything.
@@ -158,7 +165,7 @@ defmodule Situ.Component do
 
   @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
   @optional_callbacks handle_request: 4
-  @optional_callbacks migrate: 3, describe: 1, snapshot: 1, restore: 2
+  @optional_callbacks migrate: 3, describe: 1, snapshot: 1, restore: 2, reopen: 1
 
   @doc false
   defmacro __using__(opts) do

@@ -19,6 +19,7 @@ defmodule Situ.Lifecycle do
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are being added to the running pipeline |
+  # | `{:start_part, ref, ids, how, from}`, `{:reset, ref, result}` | a stopped part is to start again |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | the running graph changed |
   # | `{:measured, which, measurement}`, `{:watched, which, measurement}` | the results of `:measure` and `:watch` |
   # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a timer has expired |
@@ -28,6 +29,7 @@ defmodule Situ.Lifecycle do
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | performs the step of that name |
   # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | reconnects, shuts down or kills the stage |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to add a subscriber |
+  # | `{:reset, ref, ids, how}` | prepares stopped stages for a new start, then sends the event `:reset` |
   # | `{:forget, ids}` | takes removed stages out of the graph, which frees their names |
   # | `{:drop, id}`, `{:unwire, tag}` | drops a stage, or a connection, that the life cycle has deleted |
   # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages, or lets them finish all
@@ -60,7 +62,7 @@ defmodule Situ.Lifecycle do
   @spec apply_event(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
   def apply_event(state, event, now) do
     state = state |> handle_event(event, now) |> advance_steps(now) |> confirm_end_time(event)
-    state = Removal.drop_unconsumed(state)
+    state = state |> Addition.advance_stopped() |> Removal.drop_unconsumed()
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
@@ -79,6 +81,10 @@ defmodule Situ.Lifecycle do
   def default_catch_up_ms, do: %Situ.Lifecycle.EndState{}.catch_up
 
   defp handle_event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now)
+       when phase != :running,
+       do: Addition.reject_request(state, from)
+
+  defp handle_event(%{phase: phase} = state, {:start_part, _ref, _ids, _how, from}, _now)
        when phase != :running,
        do: Addition.reject_request(state, from)
 
@@ -124,6 +130,12 @@ defmodule Situ.Lifecycle do
 
   defp handle_event(state, {:grow, ref, plan, from}, _now),
     do: Addition.begin(state, ref, plan, from)
+
+  defp handle_event(state, {:start_part, ref, ids, how, from}, _now),
+    do: Addition.begin_again(state, ref, ids, how, from)
+
+  defp handle_event(state, {:reset, ref, result}, _now),
+    do: Addition.handle_reset(state, ref, result)
 
   defp handle_event(state, {:lent, tag, how}, _now),
     do: Addition.handle_lent_stream(state, tag, how)
@@ -217,7 +229,9 @@ defmodule Situ.Lifecycle do
   defp handle_process_exit({:exited, id, error, reached}, state, now) do
     cond do
       state.stages[id].status == :restarting ->
-        RestartGroup.handle_exit(state, id, now)
+        if PartialStop.find_ref(state, id),
+          do: PartialStop.handle_shutdown(state, id, now),
+          else: RestartGroup.handle_exit(state, id, now)
 
       fails_with_unit?(state.stages[id]) and RestartGroup.find_unit(state, id) ->
         RestartGroup.handle_failure(state, id, error, false, now)

@@ -40,9 +40,10 @@ defmodule Situ.Pipeline do
   ## Recompiling
 
   When the module of a running pipeline is recompiled (`r Lobby` in IEx), its operators switch to the new functions and
-  keep their state, even while the pipeline is starting. This takes about 50 ms, and longer on a busy machine. The VM
-  keeps two versions of a module, so compiling it twice within that time ends the pipeline with a `BadFunctionError`.
-  Functions given as `&Module.name/1` always use the newest version and have no such limit.
+  keep their state, even while the pipeline is starting. The compiler waits until they have switched, so a module can be
+  recompiled any number of times. The VM keeps two versions of a module: if an operator takes longer than five seconds
+  for one message, a second compilation ends the pipeline with a `BadFunctionError`. Functions given as `&Module.name/1`
+  always use the newest version and have no such limit.
 
   ## Building from outside
 
@@ -58,7 +59,7 @@ defmodule Situ.Pipeline do
       :not_running
   """
   alias Situ.{Argument, Error, Graph, Node, Stream}
-  alias Situ.Application.Directory
+  alias Situ.Application.{CodeReload, Directory}
   alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Client, Launcher, Report}
 
@@ -76,12 +77,18 @@ defmodule Situ.Pipeline do
   defmacro __using__(_opts) do
     quote do
       @behaviour Situ.Pipeline
+      @after_compile Situ.Pipeline
 
       def child_spec(opts), do: Situ.Pipeline.child_spec({__MODULE__, opts})
       def start_link(opts), do: Situ.Pipeline.start_link(__MODULE__, opts)
       defoverridable child_spec: 1
     end
   end
+
+  # The compiler calls this after it has loaded a new version of the pipeline's module.
+  @doc false
+  def __after_compile__(%Macro.Env{module: module}, _bytecode),
+    do: CodeReload.await_reload(module)
 
   @doc "Returns a child specification for `{module_or_fun, opts}`; it is transient, so failures restart the pipeline."
   @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
@@ -154,10 +161,11 @@ defmodule Situ.Pipeline do
   At the time of the stop, the part's sources stop and its inputs from outside close; it still receives the messages
   posted up to then. Its outputs close at that time, upstream first, so listeners outside see the end of those streams
   (`handle_closed/4` is called, windows and joins flush). Its processes end and release their devices and files, and
-  diagnostics list its components as `:closed`. A stopped part cannot be started again.
+  diagnostics list its components as `:closed`. `start_part/3` starts the part again; with `checkpoint: true`, it can
+  start with the state that it had when it stopped.
 
   The stopped part no longer affects when the pipeline ends. The remaining sources decide that; if there are none, the
-  pipeline stops as after `stop/2`. The options are those of `stop/2`. Returns `:ok` when the whole part has closed;
+  pipeline stops as after `stop/2`. It also takes the options of `stop/2`. Returns `:ok` when the whole part has closed;
   called from inside one of the pipeline's own components, it returns immediately.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
@@ -179,6 +187,45 @@ defmodule Situ.Pipeline do
   """
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
+
+  @doc """
+  Starts a part again that was stopped with `stop_part/3`, or has ended by itself, while the rest of the pipeline keeps
+  running.
+
+  With `from: :fresh` (the default), its components start with their initial state. With `from: :checkpoint`, they start
+  with the state that they had when the part was stopped with `checkpoint: true`: sources continue after the last
+  message that they posted, and no message is posted twice. Windows and joins have flushed what they held.
+
+  Its inputs receive the messages from now on; they miss the messages between the stop and this call. Streams inside the
+  part are connected again. Components outside have seen the end of the part's streams and receive nothing more: stop
+  and start them again after the part, or add new ones with `extend/2`.
+
+      iex> me = self()
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   ticks = Situ.timer(p, every: Situ.Time.ms(1))
+      ...>   Situ.composite(ticks, "Side", fn ticks ->
+      ...>     ticks |> Situ.scan(0, fn _, n -> n + 1 end) |> Situ.each(&send(me, {:count, &1}))
+      ...>   end)
+      ...>   Situ.each(ticks, & &1)
+      ...> end)
+      iex> receive do {:count, 5} -> :ok end
+      iex> :ok = Situ.Pipeline.stop_part(p, "Side", checkpoint: true)
+      iex> :ok = Situ.Pipeline.start_part(p, "Side", from: :checkpoint)
+      iex> receive do {:count, n} when n > 5 -> :counting end
+      :counting
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  When this function returns, either the whole part is running or none of it. If the part is still being stopped, the
+  call waits. `timeout:` limits how long the caller waits.
+
+  Errors: `:unknown_component`; `:still_running` if a component of the part is running; `:no_checkpoint` if a component
+  reported no state when it stopped, and `:no_snapshot` if its state is not plain data; `:not_running`; and errors of
+  `init/1` and `handle_start/2`.
+  """
+  @spec start_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
+  def start_part(p, part, opts \\ []), do: Client.start_part(p, part, opts)
 
   @doc """
   Adds components to a running pipeline. `fun` receives a handle and builds as `build/2` does. The new components may
@@ -360,7 +407,7 @@ defmodule Situ.Pipeline do
 
   @doc """
   Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are the component's options
-  and those of `Situ.Graph.Placement`.
+  and the options of `Situ.Graph.Placement`.
 
   `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log with whole seconds):
   `:error` (the default), `:drop` to drop the later message, or `:nudge` to move it to 1 ns after the previous one. A

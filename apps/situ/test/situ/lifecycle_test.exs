@@ -143,6 +143,29 @@ defmodule Situ.LifecycleTest do
     end
   end
 
+  property "parts start again: each caller gets one reply, and no stage has two processes",
+    numtests: 300 do
+    wishes = [
+      {:part, list(integer(1, 10))},
+      {:start, list(integer(1, 10))},
+      {:start, list(one_of([integer(1, 10), integer(100, 104)]))},
+      {:remove, list(integer(1, 10))},
+      {:grow, :restart},
+      {:refuse, integer(1, 10)},
+      {:kill, integer(1, 10)},
+      {:tap, 1}
+    ]
+
+    forall {spec, wishes, seed} <- {graph(), list(one_of(wishes)), integer(1, 1_000_000)} do
+      world = World.live(made(spec), wishes ++ [{:stop, 3}], seed)
+      assert world.life.phase == :completed
+      assert world.life.growths == %{}
+      asked = for {:event, {:start_part, _, _, _, from}} <- world.log, do: from
+      answered = for {:action, {:reply, {:starter, _} = from, _}} <- world.log, do: from
+      assert Enum.sort(answered) == Enum.sort(asked)
+    end
+  end
+
   property "each caller that stops a part gets one reply", numtests: 100 do
     forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
       world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)
@@ -153,6 +176,65 @@ defmodule Situ.LifecycleTest do
       left = for {_, %{from: from}} <- world.life.parts, do: from
       assert Enum.sort(answered ++ left) == Enum.sort(asked)
     end
+  end
+
+  # A composite of two stages after a source; one of them has ended for a restart.
+  defp restarting(pending) do
+    alias Situ.Lifecycle.{Links, Member, State}
+
+    member = fn id, how ->
+      unit = if id > 1, do: {"Unit", :restart}
+      struct!(%Member{id: id, path: "S#{id}", source?: id == 1, up?: true, unit: unit}, how)
+    end
+
+    %State{
+      phase: :running,
+      step: :running,
+      stages: %{
+        1 => member.(1, []),
+        2 => member.(2, status: :restarting, alive?: false),
+        3 => member.(3, status: :restarting, alive?: pending)
+      },
+      links: Links.new(%{1 => link(1, 2), 2 => link(2, 3)})
+    }
+  end
+
+  defp link(from, to), do: %{from: from, to: to, output: :out, id: from}
+
+  defp apply_events(life, events) do
+    Enum.flat_map_reduce(events, life, fn event, life ->
+      {life, actions} = Situ.Lifecycle.apply_event(life, event, 9)
+      {actions, life}
+    end)
+  end
+
+  defp exited(id), do: {:exited, id, Situ.Error.new(:component_killed, "S#{id}"), nil}
+
+  test "stages that have ended for a restart close if the pipeline stops before it" do
+    {actions, life} = apply_events(restarting(true), [{:stop, 0}, exited(3)])
+    assert %{2 => %{status: :dead}, 3 => %{status: :dead}} = life.stages
+    refute Enum.any?(actions, &match?({:spawn, _}, &1))
+  end
+
+  test "a part that is restarting can be stopped, and does not restart" do
+    opts = %{catch_up: 0, from: :caller}
+
+    {actions, life} =
+      apply_events(restarting(true), [{:stop_part, :ref, [2, 3], opts}, exited(3)])
+
+    assert {:reply, :caller, :ok} in actions
+    refute Enum.any?(actions, &match?({:spawn, _}, &1))
+    assert life.parts == %{}
+  end
+
+  test "a stage that starts while its part is being stopped gets the closing mark again" do
+    life = put_in(restarting(true).stages[2].status, :running)
+    life = put_in(life.stages[2].alive?, true)
+    life = put_in(life.stages[2].again?, true)
+    life = put_in(life.stages[3].status, :running)
+    opts = %{catch_up: 0, from: :caller}
+    {actions, _life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
+    assert {:tell, 2, {:peer_gone, 1, 9}} in actions
   end
 
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.

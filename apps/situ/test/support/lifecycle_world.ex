@@ -85,7 +85,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   # The stage's process ends with this event.
   defp happen({:stage, id, {:init_failed, id, _} = event}, world) do
     if MapSet.member?(world.alive, id),
-      do: apply_event(%{world | alive: MapSet.delete(world.alive, id)}, event),
+      do: world |> apply_event(event) |> kill(id),
       else: world
   end
 
@@ -122,6 +122,21 @@ defmodule Situ.Fixture.LifecycleWorld do
     forget = ids |> Enum.uniq() |> Enum.filter(there?)
     if forget == [], do: world, else: stop_part(world, part(world, forget), forget)
   end
+
+  # A part of which no stage is running starts again, now or when it has ended.
+  defp happen({:wish, {:start, ids}}, %{life: %{phase: :running}} = world) do
+    growing = growing_ids(world)
+    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
+    ids = ids |> Enum.uniq() |> Enum.filter(there?)
+    stopping = for {_, part} <- world.life.parts, id <- part.ids, do: id
+    stopped? = &(&1 in stopping or not world.life.stages[&1].alive?)
+
+    if ids != [] and Enum.all?(ids, stopped?),
+      do: apply_event(world, {:start_part, make_ref(), ids, :fresh, {:starter, make_ref()}}),
+      else: world
+  end
+
+  defp happen({:wish, {:start, _ids}}, world), do: world
 
   # Attaches a tap as the server does.
   defp happen({:wish, {:tap, _}}, %{life: %{phase: :running}} = world) do
@@ -279,6 +294,12 @@ defmodule Situ.Fixture.LifecycleWorld do
         reduce: world do
       world -> put(world, {:stage, id, {:completed, id, time}})
     end
+  end
+
+  # A stage has one process at a time.
+  defp perform({:reset, ref, ids, _how}, world) do
+    if running = Enum.find(ids, &(&1 in world.alive)), do: raise("S#{running} is still alive")
+    apply_event(world, {:reset, ref, :ok})
   end
 
   # A closed stream reports that it has closed.

@@ -148,6 +148,15 @@ defmodule Situ.Fusion.Core do
   @spec close_primary(t()) :: t()
   def close_primary(core), do: %{core | closed: true}
 
+  @doc "Marks all streams as open again."
+  @spec reopen(t()) :: t()
+  def reopen(core) do
+    members =
+      for member <- core.members, do: %{member | queue: SecondaryQueue.reopen(member.queue)}
+
+    %{core | closed: false, members: members}
+  end
+
   @doc "Adds messages of a member and returns the outputs they cause. Messages of removed members are ignored."
   @spec push_secondary(t(), input(), [Message.t()]) :: {[Component.action()], t()}
   def push_secondary(

@@ -65,6 +65,9 @@ defmodule Situ.Fusion.FuseComponent do
     do: finish_step(Core.close_secondary(state.core, input, time), state)
 
   @impl true
+  def reopen(state), do: %{state | core: Core.reopen(state.core)}
+
+  @impl true
   def handle_attach(input, {key, opts}, last, _context, state) do
     with :ok <- check_keyed(state),
          {:ok, opts} <- Options.validate(opts, @adding),

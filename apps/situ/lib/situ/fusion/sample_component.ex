@@ -54,6 +54,10 @@ defmodule Situ.Fusion.SampleComponent do
   def handle_closed(:in, time, _context, sampling),
     do: continue_ticks(Sampling.close(sampling, time))
 
+  @impl true
+  def reopen({:idle, opts}), do: {:idle, opts}
+  def reopen(sampling), do: %{sampling | closed: nil}
+
   defp continue_ticks({outputs, sampling}) do
     if Sampling.more_ticks?(sampling),
       do: {outputs ++ [{:continue, :ticks}], sampling},

@@ -30,6 +30,10 @@ defmodule Situ.Fusion.SecondaryQueue do
   @spec close(t(), Situ.Time.t()) :: t()
   def close(secondary, time), do: put_elem(secondary, 3, time)
 
+  @doc "Marks the stream as open again."
+  @spec reopen(t()) :: t()
+  def reopen(secondary), do: put_elem(secondary, 3, nil)
+
   @doc "Returns the time of the last message that arrived."
   @spec reached_time(t()) :: Situ.Time.t() | nil
   def reached_time({_front, _rear, last, _closed}), do: last

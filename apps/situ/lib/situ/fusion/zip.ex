@@ -55,6 +55,10 @@ defmodule Situ.Fusion.Zip do
     release_groups(%{zip | inputs: List.update_at(zip.inputs, index, &put_elem(&1, 1, :closed))})
   end
 
+  @doc "Marks all inputs as open again."
+  @spec reopen(t()) :: t()
+  def reopen(zip), do: %{zip | inputs: Enum.map(zip.inputs, &put_elem(&1, 1, :nothing))}
+
   @doc "Returns the indices of the inputs that delay the others."
   @spec awaited_indices(t()) :: [non_neg_integer()]
   def awaited_indices(zip) do

@@ -33,6 +33,9 @@ defmodule Situ.Fusion.ZipComponent do
     do: finish_step(Zip.close(state.zip, Map.fetch!(state.indices, input)), state)
 
   @impl true
+  def reopen(state), do: %{state | zip: Zip.reopen(state.zip)}
+
+  @impl true
   def handle_info(message, _context, state), do: Balance.handle_info(message, state)
 
   defp finish_step({outputs, zip}, state) do

@@ -1,13 +1,16 @@
 defmodule Situ.Lifecycle.Addition do
   @moduledoc false
-  # Adds components to a running pipeline by taking their stages through the steps of a start. No message moves before
-  # all of them are connected: running streams add the new stages as subscribers without demand, at a message
-  # boundary. Pure.
+  # Adds components to a running pipeline, or starts a stopped part again, by taking their stages through the steps of a
+  # start. No message moves before all of them are connected: running streams add the new stages as subscribers without
+  # demand, at a message boundary. Pure.
   #
+  #   ended  the earlier processes of a stopped part have ended, and its consumers have taken its closing marks
+  #   reset  the server has prepared its stages
   #   up     every new stage has its initial state
   #   start  `handle_start/2` has run in each
   #   lend   the streams that they consume have added them as subscribers
-  alias Situ.Lifecycle.{Errors, Failure, Links, Member, State}
+  alias Situ.Error
+  alias Situ.Lifecycle.{Errors, Failure, Links, Member, PartialStop, State}
   import Situ.Lifecycle.State
 
   @type plan :: %{
@@ -28,7 +31,14 @@ defmodule Situ.Lifecycle.Addition do
     links =
       Enum.reduce(plan.links, state.links, fn {tag, link}, all -> Links.add(all, tag, link) end)
 
-    growth = %{ids: ids, step: :up, pending: MapSet.new(ids), lent: plan.lent, from: from}
+    growth = %{
+      ids: ids,
+      step: :up,
+      pending: MapSet.new(ids),
+      lent: plan.lent,
+      from: from,
+      again?: Map.get(plan, :again?, false)
+    }
 
     %{
       state
@@ -41,14 +51,81 @@ defmodule Situ.Lifecycle.Addition do
     |> advance_growth(ref)
   end
 
+  @doc "Starts a stopped part again as soon as it has ended completely; `how` is passed to the server."
+  @spec begin_again(State.t(), reference(), [State.id()], term(), term()) :: State.t()
+  def begin_again(state, ref, ids, how, from) do
+    waiting = MapSet.new(ids)
+
+    growth = %{ids: ids, step: :ended, pending: waiting, lent: [], from: from, again?: true}
+    growth = Map.put(growth, :how, how)
+    advance_stopped(%{state | growths: Map.put(state.growths, ref, growth)})
+  end
+
+  @doc "Advances the parts that wait for their own end."
+  @spec advance_stopped(State.t()) :: State.t()
+  def advance_stopped(%{growths: growths} = state) when growths == %{}, do: state
+
+  def advance_stopped(state) do
+    for {ref, %{step: :ended} = growth} <- state.growths,
+        Enum.all?(growth.ids, &completely_ended?(state, &1, growth.ids)),
+        reduce: state do
+      state ->
+        state
+        |> enter_step(ref, growth, :reset, [ref])
+        |> add_action({:reset, ref, growth.ids, growth.how})
+    end
+  end
+
+  defp completely_ended?(state, id, ids) do
+    not state.stages[id].alive? and PartialStop.find_ref(state, id) == nil and
+      Enum.all?(Links.list_outgoing(state.links, id), fn {_, link} -> link.to in ids end)
+  end
+
+  @doc "Handles the server's reply: it has prepared the stages, or the part cannot be started as requested."
+  @spec handle_reset(State.t(), reference(), :ok | {:error, Error.t()}) :: State.t()
+  def handle_reset(state, ref, result) do
+    case {Map.pop(state.growths, ref), result} do
+      {{%{step: :reset} = growth, growths}, {:error, error}} ->
+        add_action(%{state | growths: growths}, {:reply, growth.from, {:error, error}})
+
+      {{%{step: :reset} = growth, growths}, :ok} ->
+        %{state | growths: growths}
+        |> forget_end(growth.ids)
+        |> begin(ref, plan_again(state, growth.ids), growth.from)
+
+      _ ->
+        state
+    end
+  end
+
+  # Connections to consumers outside ended with the streams; these consumers have seen the end.
+  defp plan_again(state, ids) do
+    links = for {tag, %{to: to} = link} <- state.links.topology, to in ids, do: {tag, link}
+    lent = for {tag, %{from: from}} <- links, from not in ids, do: tag
+    members = Map.new(ids, &{&1, Member.restart(state.stages[&1])})
+    %{members: members, links: Map.new(links), lent: lent, again?: true}
+  end
+
+  defp forget_end(state, ids) do
+    finite = MapSet.difference(state.ending.finite, MapSet.new(ids))
+    update_ending(%{state | closed: state.closed -- ids}, finite: finite)
+  end
+
   @spec reject_request(State.t(), term()) :: State.t()
   def reject_request(state, from),
     do: add_action(state, {:reply, from, {:error, Errors.not_running()}})
 
-  @doc "Returns the reference of the addition that a stage belongs to."
+  @doc "Returns the reference of the addition that a stage belongs to, unless its earlier process has yet to end."
   @spec find_ref(State.t(), State.id()) :: reference() | nil
-  def find_ref(state, id),
-    do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
+  def find_ref(state, id) do
+    Enum.find_value(state.growths, fn {ref, growth} ->
+      growth.step not in [:ended, :reset] and id in growth.ids && ref
+    end)
+  end
+
+  @doc "Returns whether a stage is being added, or waits to be started again."
+  @spec adding?(State.t(), State.id()) :: boolean()
+  def adding?(state, id), do: Enum.any?(state.growths, fn {_ref, growth} -> id in growth.ids end)
 
   @doc "Applies an event of a stage that is being added."
   @spec handle_event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()
@@ -183,6 +260,9 @@ defmodule Situ.Lifecycle.Addition do
     end)
   end
 
+  # The stages of a part that has yet to end are not affected.
+  defp remove_growth(state, %{step: step}) when step in [:ended, :reset], do: state
+
   defp remove_growth(state, growth) do
     tags =
       for id <- growth.ids,
@@ -199,15 +279,20 @@ defmodule Situ.Lifecycle.Addition do
       end)
 
     alive = Enum.filter(growth.ids, &state.stages[&1].alive?)
-    links = Enum.reduce(tags, state.links, &Links.forget_link(&2, &1))
+    forget = if growth.again?, do: &Links.deactivate_link/2, else: &Links.forget_link/2
+    links = Enum.reduce(tags, state.links, &forget.(&2, &1))
     awaited = MapSet.difference(state.awaited, MapSet.new(growth.ids))
 
     %{state | links: links, awaited: awaited}
     |> send_to_stages(alive, :quit)
     |> set_status(growth.ids, :dead)
-    |> add_action({:forget, growth.ids})
+    |> forget_added(growth)
     |> fail_listeners(tags)
   end
+
+  # A part that could not be started again stays stopped.
+  defp forget_added(state, %{again?: true}), do: state
+  defp forget_added(state, growth), do: add_action(state, {:forget, growth.ids})
 
   # Other parts that are being added may have been waiting to subscribe to this one.
   defp fail_listeners(state, tags) do

@@ -71,6 +71,11 @@ defmodule Situ.Lifecycle.Links do
     %{links | closing: Enum.into(tags, links.closing, &{&1, time})}
   end
 
+  @doc "Records that an active link closes at `time`, unless it is closing already."
+  @spec close_link(t(), term(), Situ.Time.t()) :: t()
+  def close_link(links, tag, time),
+    do: %{links | closing: Map.put_new(links.closing, tag, time)}
+
   @doc "Removes all links of a stage."
   @spec forget_stage(t(), id()) :: t()
   def forget_stage(links, id) do

@@ -48,4 +48,11 @@ defmodule Situ.Lifecycle.Member do
           again?: boolean(),
           restarts: non_neg_integer()
         }
+
+  @doc "Returns the member of a stopped stage that starts again."
+  @spec restart(t()) :: t()
+  def restart(%__MODULE__{} = member) do
+    kept = Map.take(member, [:id, :path, :unit, :source?, :tap?, :on_error, :added?])
+    struct!(__MODULE__, kept)
+  end
 end

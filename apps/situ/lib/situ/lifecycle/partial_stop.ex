@@ -14,7 +14,8 @@ defmodule Situ.Lifecycle.PartialStop do
   @typedoc """
   A part that is being stopped. `ids` are its stages, and `pending` are its sources that have yet to stop. `error` is
   the first error during the stop. `forget` holds the stages to remove with it, including stages that ended before.
-  `waits_for` lists other parts that contain some of these stages and are still being stopped.
+  `waits_for` lists other parts that contain some of these stages and are still being stopped. With `checkpoint?`, its
+  stages report snapshots with which they can start again.
   """
   @type t :: %{
           ids: MapSet.t(State.id()),
@@ -23,6 +24,7 @@ defmodule Situ.Lifecycle.PartialStop do
           from: GenServer.from() | nil,
           forget: [State.id()],
           waits_for: [reference() | {:unit, String.t()}],
+          checkpoint?: boolean(),
           error: Error.t() | nil
         }
 
@@ -30,21 +32,22 @@ defmodule Situ.Lifecycle.PartialStop do
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
-    sources = for id <- ids, state.stages[id].source?, do: id
-    state = add_action(state, {:cut, MapSet.to_list(ids), final})
+    state = state |> abandon_restart(ids, final) |> cut_stages(ids, final, opts)
+    sources = for id <- ids, %{source?: true, alive?: true} <- [state.stages[id]], do: id
 
     state =
       for id <- ids,
           {tag, link} <- Links.list_incoming(state.links, id),
           not MapSet.member?(ids, link.from),
           reduce: state,
-          do: (state -> send_to_stages(state, [link.from], {:cut, tag, final}))
+          do: (state -> close_link(state, tag, link, final))
 
     state =
       Enum.reduce(ids, state, fn id, state ->
         update_member(state, id, &limit_member(&1, final))
       end)
 
+    state = if opts[:checkpoint?], do: request_snapshots(state, ids), else: state
     state = send_to_stages(state, sources, {:stop, final})
 
     forget = Map.get(opts, :forget, [])
@@ -57,6 +60,7 @@ defmodule Situ.Lifecycle.PartialStop do
       from: from,
       forget: forget,
       waits_for: earlier,
+      checkpoint?: Map.get(opts, :checkpoint?, false),
       error: nil
     }
 
@@ -67,6 +71,36 @@ defmodule Situ.Lifecycle.PartialStop do
     }
     |> add_action({:after, catch_up, {:part_enough, ref}})
     |> add_action({:watch, state.limits.stop_timeout, ref})
+  end
+
+  # A consumer that is just restarting may miss the closing mark; it receives another one when it has started.
+  defp close_link(state, tag, link, time) do
+    state = send_to_stages(state, [link.from], {:cut, tag, time})
+    %{state | links: Links.close_link(state.links, tag, time)}
+  end
+
+  # For a checkpoint, messages that sources post before they handle the request count: their state includes them.
+  defp cut_stages(state, _ids, _final, %{checkpoint?: true}), do: state
+
+  defp cut_stages(state, ids, final, _opts),
+    do: add_action(state, {:cut, MapSet.to_list(ids), final})
+
+  # Stages that were to restart with their composite no longer do; running stages end as they were asked to.
+  defp abandon_restart(state, ids, time) do
+    for id <- ids, %{status: :restarting, alive?: false} <- [state.stages[id]], reduce: state do
+      state -> Failure.close_dead_stage(state, id, time)
+    end
+  end
+
+  # A source that is asked to stop forgets its later timers and messages, so its position is the one before the stop.
+  # Every stage reports its final state when it closes; a stage that has closed already does so now.
+  defp request_snapshots(state, ids) do
+    sources = for id <- ids, state.stages[id].source?, do: id
+    closed = for id <- ids, not state.stages[id].open?, do: id
+
+    state
+    |> send_to_stages(sources, {:remember, {:stopped, :before}})
+    |> send_to_stages(closed, {:remember, {:stopped, :after}})
   end
 
   defp limit_member(member, time), do: %{member | limit: min(member.limit || time, time)}
@@ -86,6 +120,11 @@ defmodule Situ.Lifecycle.PartialStop do
     parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
     %{state | parts: parts}
   end
+
+  @doc "Handles the end of a stage that was to restart when its part was stopped."
+  @spec handle_shutdown(State.t(), State.id(), Situ.Time.t()) :: State.t()
+  def handle_shutdown(state, id, now),
+    do: state |> Failure.close_dead_stage(id, now) |> mark_source_stopped(id)
 
   @doc "Handles the death of a stage during the stop of its part; the other stages continue without it."
   @spec handle_stage_death(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) ::

@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.RestartGroup do
   @moduledoc false
-  # A composite with its own `on_error:`, so that the failure or death of one of its stages does not end the pipeline.
+  # A composite with its own `on_error:`, so that the failure or death of a stage in it does not end the pipeline.
   # Either the whole composite restarts, or it ends and the rest keeps running. Pure.
   alias Situ.Error
   alias Situ.Lifecycle.{Failure, PartialStop, State}
@@ -84,7 +84,14 @@ defmodule Situ.Lifecycle.RestartGroup do
 
     if state.phase == :running,
       do: respawn_when_ended(state, path),
-      else: Failure.close_dead_stage(state, id, now)
+      else: close_ended(state, path, now)
+  end
+
+  # The pipeline ends, so stages that have ended for the restart, now or before, do not start again.
+  defp close_ended(state, path, now) do
+    for %{id: id, status: :restarting, alive?: false} <- open_members(state, path),
+        reduce: state,
+        do: (state -> Failure.close_dead_stage(state, id, now))
   end
 
   # Spawns all stages together once the last process has ended.

@@ -133,7 +133,8 @@ defmodule Situ.Lifecycle.Shutdown do
 
   defp close_stage(id, state) do
     time = closing_time(state.stages[id], state)
-    state = state |> abandon_subscribers([id]) |> add_action({:tell, id, {:finalize, time}})
+    state = state |> abandon_subscribers([id]) |> request_snapshot(id)
+    state = add_action(state, {:tell, id, {:finalize, time}})
 
     state = %{
       state
@@ -143,6 +144,13 @@ defmodule Situ.Lifecycle.Shutdown do
 
     state = if state.step == :close, do: clear_pending(state, id), else: state
     set_status(state, [id], :closed)
+  end
+
+  # A part that is stopped with a checkpoint keeps the final states of its stages.
+  defp request_snapshot(state, id) do
+    if Enum.any?(state.parts, fn {_ref, part} -> part.checkpoint? and id in part.ids end),
+      do: send_to_stages(state, [id], {:remember, {:stopped, :after}}),
+      else: state
   end
 
   defp closing_time(member, state) do

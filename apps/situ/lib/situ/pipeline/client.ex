@@ -7,6 +7,8 @@ defmodule Situ.Pipeline.Client do
   alias Situ.Graph.{Builder, Additions, Handle}
   alias Situ.Lifecycle.Errors
 
+  @start_example ~s|Situ.Pipeline.start_part(p, "Side", from: :checkpoint)|
+
   @spec stop_pipeline(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
   def stop_pipeline(p, opts) do
     pid = resolve_pid(p)
@@ -31,6 +33,7 @@ defmodule Situ.Pipeline.Client do
 
     how = %{
       catch_up: Keyword.get(opts, :catch_up, Lifecycle.default_catch_up_ms()),
+      checkpoint?: Keyword.get(opts, :checkpoint, false),
       forget?: Keyword.get(opts, :forget?, false)
     }
 
@@ -42,6 +45,19 @@ defmodule Situ.Pipeline.Client do
     else
       call_process(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
+  end
+
+  @spec start_part(Pipeline.target(), String.t() | Situ.Node.t(), keyword()) ::
+          :ok | {:error, Error.t()}
+  def start_part(p, part, opts) do
+    from = Keyword.get(opts, :from, :fresh)
+
+    unless from in [:fresh, :checkpoint] do
+      Argument.raise_invalid!(from, "from: :fresh or from: :checkpoint", @start_example)
+    end
+
+    timeout = Keyword.get(opts, :timeout, :infinity)
+    call_process(resolve_pid(p), {:start_part, part_path!(part), from}, timeout, nil)
   end
 
   defp part_path!(path) when is_binary(path), do: path

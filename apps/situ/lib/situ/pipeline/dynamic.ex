@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Dynamic do
   @moduledoc false
   # Pending requests that change a running pipeline. Each has a reference, names the stages that owe it a reply, and
-  # fails if one of them ends before it has replied.
+  # fails if such a stage ends before it has replied.
   #
   #   taps        by the id of their stage: Dynamic.Tap
   #   inputs      inputs being added or removed: Dynamic.Input

@@ -89,27 +89,6 @@ defmodule Situ.Pipeline.Handlers do
     )
   end
 
-  @doc "Runs the build of `{module, opts}` again in a new process; the caller receives `{:situ_rebuilt, graph}`."
-  @spec rebuild_graph({module(), keyword()}, Situ.Graph.Handle.t()) :: pid()
-  def rebuild_graph({module, opts}, handle) do
-    server = self()
-
-    spawn(fn ->
-      Process.put(:situ_pipeline, server)
-
-      try do
-        {_, graph} =
-          Builder.with_graph(handle, %Situ.Graph{}, fn -> module.build(handle, opts) end)
-
-        send(server, {:situ_rebuilt, graph})
-      catch
-        kind, reason ->
-          what = Exception.format_banner(kind, reason, __STACKTRACE__)
-          Logger.warning("#{inspect(module)} keeps its old functions: #{what}")
-      end
-    end)
-  end
-
   @doc "Replaces the handlers with the handlers of a new version, if both versions handle the same events."
   @spec replace_handlers(Situ.Graph.t(), Situ.Graph.t()) :: Situ.Graph.t()
   def replace_handlers(%{handlers: old} = graph, %{handlers: new}) do

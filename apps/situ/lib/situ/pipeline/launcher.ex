@@ -75,7 +75,7 @@ defmodule Situ.Pipeline.Launcher do
     state = State.new(settings)
     handle = Builder.open_graph(state.graph)
     add_diagnostics(handle, settings)
-    version = loaded_version(settings.origin)
+    state = %{state | code: {watch_module(settings.origin), nil}}
 
     case with(:ok <- Directory.register_pipeline(settings), do: build_graph(spec, handle, opts)) do
       {:ok, result} ->
@@ -83,7 +83,6 @@ defmodule Situ.Pipeline.Launcher do
         state = monitor_caller(%{state | handle: handle, graph: graph, result: result}, caller)
         # If the caller has ended in the meantime, the result is of no use.
         unless Process.alive?(caller), do: exit(:normal)
-        with {module, _opts} <- settings.origin, do: CodeReload.watch_module(module, version)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(Server, [], state)
@@ -113,11 +112,14 @@ defmodule Situ.Pipeline.Launcher do
   end
 
   # Reads the version before the build, so that a version that is loaded during the build counts as new.
-  defp loaded_version({module, _opts}) do
-    if Code.ensure_loaded?(module), do: CodeReload.code_version(module)
+  defp watch_module({module, _opts}) do
+    Code.ensure_loaded?(module)
+    version = CodeReload.code_version(module)
+    CodeReload.watch_module(module, version)
+    version
   end
 
-  defp loaded_version(nil), do: nil
+  defp watch_module(nil), do: nil
 
   defp add_diagnostics(_handle, %{diagnostics: false}), do: :ok
   defp add_diagnostics(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)

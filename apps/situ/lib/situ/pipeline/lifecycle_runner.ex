@@ -56,6 +56,17 @@ defmodule Situ.Pipeline.LifecycleRunner do
       else: state
   end
 
+  @doc "Handles a stage that failed to initialize. Its process ends by itself, so its stage is free for another one."
+  @spec handle_init_failure(State.t(), pos_integer(), Error.t()) :: State.t()
+  def handle_init_failure(state, id, error) do
+    %{pid: pid} = state.stages[id]
+
+    state
+    |> fail_pending(id)
+    |> __MODULE__.apply_event({:init_failed, id, error})
+    |> handle_exit(pid, :normal)
+  end
+
   @doc "Fails the requests of all callers that wait for this stage."
   @spec fail_pending(State.t(), pos_integer()) :: State.t()
   def fail_pending(state, id) do
@@ -131,6 +142,16 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp perform_action({:cut, ids, time}, state), do: Stages.limit_stages(state, ids, time)
 
   defp perform_action({:lend, tag}, state), do: Extension.lend_output(state, tag)
+
+  defp perform_action({:reset, ref, ids, from}, state) do
+    {result, state} =
+      case Stages.reset_stages(state, ids, from) do
+        {:ok, state} -> {:ok, state}
+        {:error, error} -> {{:error, error}, state}
+      end
+
+    __MODULE__.apply_event(state, {:reset, ref, result})
+  end
 
   # A stage whose process is still alive leaves when the process ends.
   defp perform_action({:forget, ids}, state) do
@@ -209,15 +230,11 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp perform_action({:handle, event, argument}, state),
     do: call_handlers(state, event, argument)
 
+  # No stage may begin with functions of an earlier version, so the plan waits for the functions of the newest.
   defp perform_action(:plan, state) do
-    case Plan.compile(state.graph) do
-      {:ok, plan} ->
-        {state, members} = Stages.install_plan(state, plan)
-        state = resend_early(state)
-        __MODULE__.apply_event(state, {:planned, members, state.wires.links})
-
-      {:error, error} ->
-        __MODULE__.apply_event(state, {:plan_failed, error})
+    case Dynamic.Reload.begin(state) do
+      %{code: {_version, nil}} = state -> plan_graph(state)
+      state -> state
     end
   end
 
@@ -263,6 +280,17 @@ defmodule Situ.Pipeline.LifecycleRunner do
       call_handlers(state, :progress, state.view.progress)
     else
       state
+    end
+  end
+
+  defp plan_graph(state) do
+    case Plan.compile(state.graph) do
+      {:ok, plan} ->
+        {state, members} = Stages.install_plan(state, plan)
+        __MODULE__.apply_event(state, {:planned, members, state.wires.links})
+
+      {:error, error} ->
+        __MODULE__.apply_event(state, {:plan_failed, error})
     end
   end
 

@@ -29,7 +29,7 @@ defmodule Situ.Pipeline.Server do
 
   # These requests wait until a starting pipeline is running.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
-             [:checkpoint]
+             [:start_part, :checkpoint]
 
   @impl true
   def init(_), do: :ignore
@@ -67,6 +67,11 @@ defmodule Situ.Pipeline.Server do
   end
 
   # Requests
+
+  defp handle_request(:reload, _from, state) do
+    state = begin_reload(state)
+    {:reply, Dynamic.Reload.process(state), state}
+  end
 
   defp handle_request({:build, change}, _from, %{life: %{phase: :building}} = state) do
     {:reply, {:ok, Builder.update_graph(state.handle, change)}, state}
@@ -191,6 +196,13 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
+  defp handle_running_request({:start_part, path, how}, from, state) do
+    case State.fetch_stopped_part(state, path) do
+      {:ok, ids} -> apply_event(state, {:start_part, make_ref(), ids, how, from})
+      {:error, error} -> {:reply, {:error, error}, state}
+    end
+  end
+
   # Without pacing no message waits for the clock, so the clock cannot be controlled.
   defp handle_running_request({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
     do: {:reply, {:error, Errors.not_paced()}, state}
@@ -207,10 +219,9 @@ defmodule Situ.Pipeline.Server do
   defp handle_running_request(_request, _from, state),
     do: {:reply, {:error, Errors.unknown_request()}, state}
 
-  defp stop_part_event(path, %{catch_up: catch_up, forget?: forget?}, from, state) do
+  defp stop_part_event(path, %{forget?: forget?} = how, from, state) do
     with {:ok, %{ids: ids, forget: forget}} <- State.fetch_part(state, path, forget?),
-         do:
-           {:ok, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from, forget: forget}}}
+         do: {:ok, {:stop_part, make_ref(), ids, Map.merge(how, %{from: from, forget: forget})}}
   end
 
   defp defer_message(message, state), do: %{state | early: [message | state.early]}
@@ -255,22 +266,10 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
-  # The module that built the pipeline has a new version, so another process builds it again to obtain its functions.
-  # No stage can use them before the graph is planned; until then the message is deferred.
-  defp handle_message(:situ_reloaded, %{life: %{step: step}} = state)
-       when step in [:build, :handlers],
-       do: {:noreply, defer_message(:situ_reloaded, state)}
+  defp handle_message(:situ_reloaded, state), do: {:noreply, begin_reload(state)}
 
-  defp handle_message(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
-    Handlers.rebuild_graph(origin, state.handle)
-    {:noreply, state}
-  end
-
-  defp handle_message({:situ_rebuilt, graph}, %{life: %{phase: phase}} = state)
-       when phase in [:starting, :running] do
-    state = %{state | graph: Handlers.replace_handlers(state.graph, graph)}
-    {:noreply, state |> Dynamic.Guarantee.reload(graph) |> Dynamic.Replacement.reload(graph)}
-  end
+  defp handle_message({:situ_rebuilt, process, result}, state),
+    do: continue_plan(Dynamic.Reload.finish(state, process, result))
 
   defp handle_message({:situ_checkpoint, ref}, state),
     do: {:noreply, PendingCheckpoint.poll_progress(state, ref)}
@@ -280,6 +279,10 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_message({:situ_late, ref, timeout}, state),
     do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
+
+  # A process that renews functions was killed. Normally it has already reported.
+  defp handle_message({:EXIT, pid, _reason}, %{code: {_version, pid}} = state),
+    do: continue_plan(Dynamic.Reload.finish(state, pid, :error))
 
   defp handle_message({:EXIT, pid, reason}, state),
     do: state |> LifecycleRunner.handle_exit(pid, reason) |> Termination.stop_if_finished()
@@ -323,7 +326,7 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(state, {:failed, id, LifecycleRunner.explain_error(error, state), reached})
 
   defp handle_stage_message({:init_failed, error}, id, state),
-    do: state |> LifecycleRunner.fail_pending(id) |> apply_event({:init_failed, id, error})
+    do: state |> LifecycleRunner.handle_init_failure(id, error) |> Termination.stop_if_finished()
 
   defp handle_stage_message({:skipped, error}, _id, state),
     do: {:noreply, LifecycleRunner.report_error(state, error)}
@@ -350,6 +353,9 @@ defmodule Situ.Pipeline.Server do
   defp handle_stage_message({:detached, input, opts}, id, state),
     do: apply_dynamic(Dynamic.Input.handle_detached(state, id, input, opts))
 
+  defp handle_stage_message({:remembered, {:stopped, moment}, result}, id, state),
+    do: {:noreply, Stages.put_stopped_snapshot(state, id, moment, result)}
+
   defp handle_stage_message({:remembered, ref, answer}, id, state),
     do: {:noreply, PendingCheckpoint.handle_snapshot(state, id, ref, answer)}
 
@@ -357,6 +363,19 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Dynamic.Replacement.handle_reply(state, id, ref, answer)}
 
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
+
+  # A graph that is not planned yet is renewed when it is planned.
+  defp begin_reload(%{life: %{phase: phase, step: step}} = state)
+       when phase in [:starting, :running] and step != :handlers,
+       do: Dynamic.Reload.begin(state)
+
+  defp begin_reload(state), do: state
+
+  # The plan waits for new functions.
+  defp continue_plan(%{life: %{step: :handlers}, code: {_version, nil}} = state),
+    do: apply_event(state, {:handled, :run, :ok})
+
+  defp continue_plan(state), do: {:noreply, state}
 
   # Results
 

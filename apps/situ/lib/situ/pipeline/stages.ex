@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
-  alias Situ.Pipeline.State
+  alias Situ.Pipeline.{State, StoppedSnapshot}
   alias Situ.Ports.{Counters, Output, ErrorCounters}
 
   @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
@@ -79,8 +79,51 @@ defmodule Situ.Pipeline.Stages do
       control: control,
       marks: new_marks(vertices),
       tail: tail,
-      started: nil
+      started: nil,
+      memory: nil,
+      stopped: %{}
     }
+  end
+
+  @doc "Keeps the snapshot that a stage has reported before or after its part was stopped."
+  @spec put_stopped_snapshot(State.t(), pos_integer(), :before | :after, term()) :: State.t()
+  def put_stopped_snapshot(state, id, moment, result) do
+    stage = state.stages[id]
+    stage = %{stage | stopped: Map.put(stage.stopped, moment, result)}
+    %{state | stages: Map.put(state.stages, id, stage)}
+  end
+
+  @doc """
+  Prepares stopped stages for a new start: afresh, or from the snapshots that they reported when they stopped. Returns
+  an error if a stage has no snapshot.
+  """
+  @spec reset_stages(State.t(), [pos_integer()], :fresh | :checkpoint) ::
+          {:ok, State.t()} | {:error, Situ.Error.t()}
+  def reset_stages(state, ids, from) do
+    entries =
+      Enum.reduce_while(ids, {:ok, %{}}, fn id, {:ok, entries} ->
+        case reset_entry(state.stages[id], from, state.life.stages[id].limit) do
+          {:ok, entry} -> {:cont, {:ok, Map.put(entries, id, entry)}}
+          {:error, error} -> {:halt, {:error, error}}
+        end
+      end)
+
+    with {:ok, entries} <- entries do
+      tags = for {tag, %{to: to}} <- state.wires.links, to in ids, do: tag
+      counters = Enum.into(tags, state.wires.counters, &{&1, Counters.new()})
+      wires = %{state.wires | counters: counters}
+      {:ok, %{state | stages: Map.merge(state.stages, entries), wires: wires}}
+    end
+  end
+
+  defp reset_entry(stage, :fresh, _limit),
+    do: {:ok, %{build_entry(stage.id, stage.vertices, stage.tail) | tally: stage.tally}}
+
+  defp reset_entry(%{vertices: [head | _]} = stage, :checkpoint, limit) do
+    with {:ok, memory} <- StoppedSnapshot.merge(stage.stopped, limit, head) do
+      {:ok, entry} = reset_entry(stage, :fresh, limit)
+      {:ok, %{entry | memory: memory, started: stage.started}}
+    end
   end
 
   # Only a stage that can be spawned again has to record its progress.
@@ -125,15 +168,15 @@ defmodule Situ.Pipeline.Stages do
         sizes: state.settings.message_sizes
       })
 
-    stages = Map.put(state.stages, id, %{stage | pid: pid})
+    # Only this start uses the snapshot; a later restart begins afresh, as its `on_error` specifies.
+    stages = Map.put(state.stages, id, %{stage | pid: pid, memory: nil, stopped: %{}})
     %{state | stages: stages, pids: Map.put(state.pids, pid, id)}
   end
 
-  # A stage that is spawned again starts with a fresh state, as its `on_error` specifies.
   defp resumed_memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
     do: state.settings.resume[head.path]
 
-  defp resumed_memory(_state, _stage), do: nil
+  defp resumed_memory(_state, stage), do: stage.memory
 
   @doc "Sends the stages their clock and neighbours, and starts them."
   @spec start_stages(State.t(), [pos_integer()]) :: State.t()

@@ -8,7 +8,8 @@ defmodule Situ.Pipeline.State do
   #   dynamic   pending requests that change the running pipeline
   #   view      the data kept for inspection: Situ.Pipeline.Inspection
   #   waiters   callers that wait for the end
-  #   early     messages deferred until the graph is planned, or until the pipeline is running
+  #   early     messages deferred until the pipeline is running
+  #   code      the version of the pipeline's module, and the process that renews its functions: Dynamic.Reload
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
   alias Situ.Lifecycle.{Errors, Addition}
@@ -30,7 +31,8 @@ defmodule Situ.Pipeline.State do
     wires: %{links: %{}, counters: %{}},
     dynamic: %Dynamic{},
     waiters: [],
-    early: []
+    early: [],
+    code: {nil, nil}
   ]
 
   @typedoc "An output: its vertex and its name."
@@ -43,7 +45,9 @@ defmodule Situ.Pipeline.State do
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
           tail: Situ.Ports.Counters.t() | nil,
-          started: Situ.Time.t() | nil
+          started: Situ.Time.t() | nil,
+          memory: Situ.Stage.Checkpoint.t() | nil,
+          stopped: %{(:before | :after) => {:ok, Situ.Stage.Checkpoint.t()} | {:error, Error.t()}}
         }
 
   @type t :: %__MODULE__{
@@ -61,7 +65,8 @@ defmodule Situ.Pipeline.State do
           wires: %{links: %{term() => map()}, counters: %{term() => Situ.Ports.Counters.t()}},
           dynamic: Dynamic.t(),
           waiters: [GenServer.from()],
-          early: [term()]
+          early: [term()],
+          code: {binary() | nil, pid() | nil}
         }
 
   @spec new(Settings.t()) :: t()
@@ -171,12 +176,12 @@ defmodule Situ.Pipeline.State do
 
     cond do
       inside == [] ->
-        {:error, unknown_part_error(state, path)}
+        unknown_part(state, path)
 
       chosen == [] ->
         {:error, ended_error(path)}
 
-      Enum.any?(inside, &Addition.find_ref(state.life, &1.id)) ->
+      Enum.any?(inside, &Addition.adding?(state.life, &1.id)) ->
         {:error, still_added_error(path)}
 
       stage = Enum.find(chosen, &shared_with_outside?(&1, path)) ->
@@ -190,13 +195,30 @@ defmodule Situ.Pipeline.State do
     end
   end
 
+  @doc "Returns the stages below `path`, all of which have ended or are being stopped."
+  @spec fetch_stopped_part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
+  def fetch_stopped_part(state, path) do
+    case fetch_part(state, path, true) do
+      {:ok, %{ids: [], forget: inside}} ->
+        # A part that is being removed no longer has a name.
+        leaving = for {_ref, part} <- state.life.parts, id <- part.forget, do: id
+        if Enum.any?(inside, &(&1 in leaving)), do: unknown_part(state, path), else: {:ok, inside}
+
+      {:ok, _running} ->
+        {:error, part_running_error(path)}
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+
   # A removed stage stays until its process has ended, while other stages may already use its names.
   defp stage_in_part?(%{vertices: [head | _] = vertices}, path, graph),
     do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &vertex_within?(&1, path))
 
   defp stage_running?(id, %{life: %{stages: stages}}) do
     %{status: status, alive?: alive?} = stages[id]
-    alive? and status in [:running, :closed]
+    status == :restarting or (alive? and status in [:running, :closed])
   end
 
   defp vertex_within?(vertex, path),
@@ -204,6 +226,8 @@ defmodule Situ.Pipeline.State do
 
   defp shared_with_outside?(stage, path),
     do: not Enum.all?(stage.vertices, &vertex_within?(&1, path))
+
+  defp unknown_part(state, path), do: {:error, unknown_part_error(state, path)}
 
   defp unknown_part_error(state, path) do
     near = Options.nearest_name(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
@@ -219,9 +243,15 @@ defmodule Situ.Pipeline.State do
     )
   end
 
+  defp part_running_error(path) do
+    Error.new(:still_running, "#{path} cannot be started because a part of it is running",
+      fix: "stop all of it first, with Situ.Pipeline.stop_part/3"
+    )
+  end
+
   defp still_added_error(path) do
-    Error.new(:not_running, "#{path} is still being added",
-      fix: "wait until Situ.Pipeline.extend/2 has returned"
+    Error.new(:not_running, "#{path} is still being added or started",
+      fix: "wait until Situ.Pipeline.extend/2 or Situ.Pipeline.start_part/3 has returned"
     )
   end
 

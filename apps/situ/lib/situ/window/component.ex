@@ -35,4 +35,8 @@ defmodule Situ.Window.Component do
   def handle_closed(:in, _time, _context, %ByTime{} = core), do: ByTime.close(core)
   def handle_closed(:in, _time, _context, %ByStream{} = core), do: ByStream.close_source(core)
   def handle_closed(_input, _time, _context, core), do: {[], core}
+
+  @impl true
+  def reopen(%ByStream{} = core), do: %{core | reached: nil}
+  def reopen(core), do: core
 end

@@ -16,7 +16,9 @@ defmodule Situ.Application.CodeReloadTest do
       @impl true
       def build(p, opts) do
         Situ.Pipeline.on(p, :error, fn _ -> #{version} end)
+        if opts[:on_run], do: Situ.Pipeline.on(p, :run, fn _ -> opts[:on_run].() end)
         keep? = fn {v, _} -> v < 1_000 * #{version} end
+        if opts[:every_build], do: opts[:every_build].()
         if opts[:held], do: Situ.source(p, Situ.Fixture.Held, to: opts[:to])
 
         p
@@ -88,6 +90,62 @@ defmodule Situ.Application.CodeReloadTest do
     compile(3)
     assert seen(3) > 0
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  test "a module can be recompiled without pauses, while messages flow" do
+    compile(1)
+    {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self())
+    assert_receive {:seen, {1, _}}
+    for version <- 2..15, do: compile(version)
+    assert seen(15) > 0
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  test "a module can be recompiled while a process compiles and pipelines start" do
+    compile(1)
+    me = self()
+    compiler = Task.async(fn -> for version <- 2..15, do: compile(version) end)
+
+    pipelines =
+      for _ <- 1..10 do
+        {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: me)
+        p
+      end
+
+    Task.await(compiler, 60_000)
+    for _ <- pipelines, do: assert(seen(15) >= 0)
+    for p <- pipelines, do: assert({:ok, %{errors: []}} = Pipeline.stop(p))
+  end
+
+  test "a module can be recompiled several times by its own build and by a :run handler" do
+    for where <- [:built, :on_run] do
+      compile(1)
+      again = fn -> for version <- 2..5, do: compile(version) end
+      {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, [{:to, self()}, {where, again}])
+      assert seen(5) >= 0
+      assert {:ok, %{errors: []}} = Pipeline.stop(p)
+      flush()
+    end
+  end
+
+  test "a build that fails for a moment is repeated" do
+    compile(1)
+    fails = :atomics.new(1, [])
+    built = fn -> :atomics.sub_get(fails, 1, 1) >= 0 && raise "not loaded yet" end
+    {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self(), every_build: built)
+    assert_receive {:seen, {1, _}}
+    :atomics.put(fails, 1, 3)
+    for version <- 2..4, do: compile(version)
+    assert seen(4) > 0
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  defp flush do
+    receive do
+      {:seen, _} -> flush()
+    after
+      0 -> :ok
+    end
   end
 
   # A restart must use the functions of the loaded module.

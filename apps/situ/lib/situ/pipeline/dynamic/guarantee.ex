@@ -5,21 +5,31 @@ defmodule Situ.Pipeline.Dynamic.Guarantee do
   alias Situ.Graph
   alias Situ.Pipeline.{Stages, State}
 
-  @doc "Replaces the current guarantees with the guarantees of `graph`, another version of the same pipeline."
-  @spec reload(State.t(), Graph.t()) :: State.t()
+  @doc """
+  Replaces the current guarantees with the guarantees of `graph`, another version of the same pipeline; returns the
+  processes that receive new ones.
+  """
+  @spec reload(State.t(), Graph.t()) :: {State.t(), [pid()]}
   def reload(state, graph) do
     fresh =
       for {_, edge} <- graph.edges, into: %{}, do: {edge_key(graph, edge), edge.policy.guarantee}
 
-    Enum.reduce(state.graph.edges, state, fn {id, edge}, state ->
-      case fresh[edge_key(state.graph, edge)] do
-        keep? when keep? != nil and keep? != edge.policy.guarantee ->
-          replace_guarantee(state, id, keep?)
+    changed =
+      for {id, edge} <- state.graph.edges,
+          keep? = fresh[edge_key(state.graph, edge)],
+          keep? != edge.policy.guarantee,
+          do: {id, keep?}
 
-        _ ->
-          state
-      end
-    end)
+    stages =
+      for {id, _keep?} <- changed,
+          %{from: from, to: to} <- [state.wires.links[id]],
+          stage <- [from, to],
+          %{^stage => %{pid: pid}} when pid != nil <- [state.stages],
+          uniq: true,
+          do: pid
+
+    {Enum.reduce(changed, state, fn {id, keep?}, state -> replace_guarantee(state, id, keep?) end),
+     stages}
   end
 
   defp edge_key(graph, %{from: {from, output}, to: {to, input}}),

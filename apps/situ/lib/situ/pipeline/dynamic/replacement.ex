@@ -25,33 +25,50 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   @doc """
   Replaces each operator with the operator of the same name in `graph`, another version of the same pipeline, and the
-  functions in component options with the functions at the same positions.
+  functions in component options with the functions at the same positions. `from` receives one reply from each running
+  component that has new functions; returns their number.
   """
-  @spec reload(State.t(), Situ.Graph.t()) :: State.t()
-  def reload(state, graph) do
+  @spec reload(State.t(), Situ.Graph.t(), GenServer.from()) :: {State.t(), non_neg_integer()}
+  def reload(state, graph, from) do
     fresh =
       for {_, vertex} <- graph.vertices, into: %{}, do: {{vertex.path, vertex.module}, vertex}
 
-    Enum.reduce(state.graph.vertices, state, fn {id, vertex}, state ->
+    Enum.reduce(state.graph.vertices, {state, 0}, fn {id, vertex}, {state, count} ->
       with %{opts: new} <- fresh[{vertex.path, vertex.module}],
-           renewed when renewed != vertex.opts <- renew_options(vertex, new),
-           {:ok, stage, _index} <- State.fetch_stage(state, id) do
-        enqueue_request(state, stage.id, %{
-          ref: make_ref(),
-          vertex: id,
-          change: {:keep, renewed},
-          from: nil
-        })
+           renewed when renewed != vertex.opts <- renew_options(vertex, new) do
+        # A restart begins with the new functions, even if the stage ends before it has taken them.
+        state = put_options(state, id, renewed)
+        request = %{ref: make_ref(), vertex: id, change: {:renew, vertex.module, new}, from: from}
+        renew_stage(state, request, count)
       else
-        _ -> state
+        _ -> {state, count}
       end
     end)
+  end
+
+  defp renew_stage(state, request, count) do
+    case State.fetch_stage(state, request.vertex) do
+      {:ok, stage, _index} -> {enqueue_request(state, stage.id, request), count + 1}
+      {:error, _error} -> {state, count}
+    end
   end
 
   defp renew_options(%{module: :operator}, new), do: new
 
   defp renew_options(%{opts: old}, new),
     do: FunctionSwap.replace_functions(old, FunctionSwap.pair_functions(old, new))
+
+  defp put_options(state, id, opts) do
+    change = &if(&1.id == id, do: %{&1 | opts: opts}, else: &1)
+
+    stages =
+      Map.new(state.stages, fn {key, stage} ->
+        {key, %{stage | vertices: Enum.map(stage.vertices, change)}}
+      end)
+
+    vertices = Map.update!(state.graph.vertices, id, change)
+    %{state | graph: %{state.graph | vertices: vertices}, stages: stages}
+  end
 
   defp enqueue_request(%{dynamic: %{replaces: replaces}} = state, id, request) do
     case replaces do
@@ -166,11 +183,14 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   # The new component
 
-  # A new version of the same function keeps the operator's current state.
-  defp resolve_target(%Vertex{module: :operator} = vertex, {:keep, step}) do
-    with {:ok, :operator, step} <- resolve_target(vertex, step),
-         do: {:ok, :operator, {:keep, step}}
+  # A new version of the same function keeps the current state. A component that was replaced in the meantime has no
+  # function of the pipeline's module.
+  defp resolve_target(%Vertex{module: same} = vertex, {:renew, same, new}) do
+    with {:ok, _module, _opts} <- resolve_target(vertex, new),
+         do: {:ok, same, {:keep, renew_options(vertex, new)}}
   end
+
+  defp resolve_target(vertex, {:renew, _other, _new}), do: {:error, other_kind_error(vertex)}
 
   defp resolve_target(%Vertex{module: :operator} = vertex, {kind, fun} = step)
        when is_function(fun) do
@@ -188,8 +208,6 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   defp resolve_target(%Vertex{module: :operator} = vertex, _),
     do: {:error, other_kind_error(vertex)}
-
-  defp resolve_target(vertex, {:keep, opts}), do: {:ok, vertex.module, {:keep, opts}}
 
   defp resolve_target(_vertex, {module, opts}) when is_atom(module) and is_list(opts) do
     if Code.ensure_loaded?(module) and function_exported?(module, :handle_message, 4),
