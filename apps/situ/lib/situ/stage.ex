@@ -7,7 +7,7 @@ defmodule Situ.Stage do
   #   RequestHandler   handles requests of the pipeline's server
   #   Subscriptions    adds and removes connections
   #   Loop             runs a time slice: selects the next step, and sends what all of them have posted
-  #   StepRunner       runs the next messages through one step: its component or its operators
+  #   StepRunner       runs the next messages through one step: its component or its operators (BatchRunner)
   #   Production       makes sources produce messages, and stops them
   #   CallbackRunner   calls the component and handles errors (ErrorPolicy)
   #   ActionRunner     applies the actions: posts messages, closes outputs, sets timers

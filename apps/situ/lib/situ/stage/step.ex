@@ -108,6 +108,19 @@ defmodule Situ.Stage.Step do
   def read_clock(%__MODULE__{host: %{clock: clock}, context: context} = step),
     do: %{step | context: %{context | now: Clock.now(clock)}}
 
+  @doc "Counts `n` messages, out of `taken`, that were handled together from the monotonic time `started` (ns) on."
+  @spec count_handled(t(), non_neg_integer(), pos_integer(), integer()) :: t()
+  def count_handled(%__MODULE__{work: work} = step, n, taken, started) do
+    time = :erlang.monotonic_time(:nanosecond)
+    %{step | work: Work.count_slice(work, n, taken, {busy_time(step, time - started), time})}
+  end
+
+  # On a manual clock, a test decides how long a message takes.
+  defp busy_time(%{host: %{clock: %{kind: :manual} = clock}, context: %{now: now}}, _elapsed),
+    do: Clock.now(clock) - now
+
+  defp busy_time(_step, elapsed), do: elapsed
+
   @doc "Returns the time up to which messages count."
   @spec final_time(t()) :: integer()
   def final_time(%__MODULE__{host: %{control: nil}}), do: @never

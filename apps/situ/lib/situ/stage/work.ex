@@ -37,13 +37,12 @@ defmodule Situ.Stage.Work do
         }
 
   @doc """
-  Counts `n` messages, out of `taken`, that were handled together from the monotonic time `started` on. The slice grows
-  while it is quick, and shrinks so that the next one takes about a millisecond.
+  Counts `n` messages, out of `taken`, that were handled together in `elapsed` ns until the monotonic time `time`. The
+  slice grows while it is quick, and shrinks so that the next one takes about a millisecond.
   """
-  @spec count_slice(t(), non_neg_integer(), pos_integer(), integer()) :: t()
-  def count_slice(%__MODULE__{slice: slice, spent: {handled, ns}} = work, n, taken, started) do
-    time = :erlang.monotonic_time(:nanosecond)
-    elapsed = time - started
+  @spec count_slice(t(), non_neg_integer(), pos_integer(), {integer(), integer()}) :: t()
+  def count_slice(%__MODULE__{slice: slice, spent: {handled, ns}} = work, n, taken, times) do
+    {elapsed, time} = times
 
     slice =
       cond do

@@ -92,7 +92,7 @@ defmodule Situ.Parallel.GateTest do
 
     Enum.find(links, fn pid ->
       is_pid(pid) and Process.info(pid, :current_function) != nil and
-        match?(%Situ.Stage.State{callback: %{module: ^module}}, state_of(pid))
+        match?(%Situ.Stage.State{steps: {%{worker: %{module: ^module}}}}, state_of(pid))
     end)
   end
 
