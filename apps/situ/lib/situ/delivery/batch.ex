@@ -73,17 +73,20 @@ defmodule Situ.Delivery.Batch do
   @doc "Returns the messages, each with its envelope."
   @spec messages(t()) :: [Message.t(), ...]
   def messages(%__MODULE__{} = batch),
-    do: messages(batch.times, batch.data, batch.first_id, batch)
+    do: messages(batch.times, batch.data, batch.first_id, batch, Message)
 
   def messages(messages), do: messages
 
-  defp messages([], [], _id, _batch), do: []
+  defp messages([], [], _id, _batch, _struct), do: []
 
-  defp messages([dt | times], [data | rest], id, batch),
-    do: [message(dt, data, id, batch) | messages(times, rest, id + 1, batch)]
+  defp messages([dt | times], [data | rest], id, batch, struct),
+    do: [message(dt, data, id, batch, struct) | messages(times, rest, id + 1, batch, struct)]
 
-  defp message(dt, data, id, %{base: base, created: created, source_id: source_id}),
-    do: %Message{
+  # The name of the struct is an argument: with `%Message{}`, the compiler extends a map of one key, which takes longer
+  # and gives every message a copy of the keys.
+  defp message(dt, data, id, %{base: base, created: created, source_id: source_id}, struct),
+    do: %{
+      __struct__: struct,
       data: data,
       originating_time: base + dt,
       creation_time: created,
@@ -94,7 +97,7 @@ defmodule Situ.Delivery.Batch do
   @doc "Takes the first message; the rest is `nil` after the last one."
   @spec pop(t()) :: {Message.t(), t() | nil}
   def pop(%__MODULE__{times: [dt | times], data: [data | rest], first_id: id} = batch) do
-    message = message(dt, data, id, batch)
+    message = message(dt, data, id, batch, Message)
 
     if times == [],
       do: {message, nil},

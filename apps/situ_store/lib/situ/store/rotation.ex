@@ -51,7 +51,7 @@ defmodule Situ.Store.Rotation do
   def report_append(_pieces, %{newest: nil}, _number, _time), do: :ok
 
   def report_append(pieces, _cut, number, time),
-    do: GenServer.cast(pieces, {:appended, number, time})
+    do: GenServer.call(pieces, {:appended, number, time}, :infinity)
 
   @doc "Closes all open segments."
   @spec close_all(GenServer.server()) :: :ok
@@ -88,8 +88,8 @@ defmodule Situ.Store.Rotation do
     end
   end
 
-  @impl true
-  def handle_cast({:appended, number, time}, %{cut: %{every: {:bytes, most}}} = state) do
+  # The writer waits for the decision, so a fast one cannot write past the size.
+  def handle_call({:appended, number, time}, _from, %{cut: %{every: {:bytes, most}}} = state) do
     state = %{state | ended: Map.update(state.ended, number, time + 1, &max(&1, time + 1))}
     bytes = if open = state.open[number], do: Writer.stored_bytes(open.writer), else: 0
     newest = SplitPoint.newest_number(state.cut)
@@ -107,7 +107,7 @@ defmodule Situ.Store.Rotation do
         :ok
     end
 
-    {:noreply, state}
+    {:reply, :ok, state}
   end
 
   @impl true
