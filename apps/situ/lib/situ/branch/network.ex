@@ -164,6 +164,14 @@ defmodule Situ.Branch.Network do
     emit_message(network, {node.id, output}, %Message{data: data, originating_time: time})
   end
 
+  defp apply_action({output, [_ | _] = times, data}, node, network) do
+    times
+    |> Enum.zip(data)
+    |> Enum.reduce(network, fn {time, value}, network ->
+      apply_action({output, time, value}, node, network)
+    end)
+  end
+
   defp apply_action({output, %Message{} = message}, node, network),
     do: emit_message(network, {node.id, output}, message)
 

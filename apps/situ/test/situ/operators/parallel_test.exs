@@ -114,6 +114,28 @@ defmodule Situ.Operators.ParallelTest do
       assert error.what =~ "Parallel[:a] cannot start on nobody@nowhere"
     end
 
+    defmodule Twice do
+      use Situ.Component, inputs: [in: :any], outputs: [out: :any]
+
+      @impl true
+      def handle_message(:in, %{originating_time: time, data: data}, _context, state),
+        do: {[{:out, [time, time + 1], [data, -data]}], state}
+    end
+
+    test "a component inside a branch may emit several messages together" do
+      me = self()
+
+      build = fn inputs ->
+        Situ.parallel(inputs.m, fn _key, stream ->
+          stream |> Situ.via(Twice) |> Situ.each(&send(me, {:twice, &1}))
+        end)
+      end
+
+      assert {:ok, _} = Situ.Test.run([m: [{0, %{a: 1}}]], build)
+      assert_received {:twice, 1}
+      assert_received {:twice, -1}
+    end
+
     test "refuses sources inside a branch" do
       build =
         &Situ.parallel(&1.m, fn _k, s -> Situ.join(s, Situ.repeat(s.pipeline, 1, every: 1)) end)
