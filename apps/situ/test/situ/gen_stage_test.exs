@@ -348,7 +348,7 @@ defmodule Situ.GenStageTest do
           fn p ->
             p |> Situ.from_enumerable(0..99, every: 10) |> GenStage.accumulate(name: "Out")
           end,
-          pipeline: [replay: [interval: {0, :unbounded}, speed: :max], stop_timeout: 10]
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max], stop_timeout: 50]
         )
 
       {:ok, {pid, opts}} = GenStage.subscription(p, "Out")

@@ -260,9 +260,11 @@ defmodule Situ.Pipeline.Server do
       |> Termination.stop_if_finished()
 
   defp handle_message({:situ_watch, which, mark}, state) do
+    # In this order: a stage that stops waiting is not idle before it has moved its messages.
+    patient? = Stages.any_patient?(state)
+    idle = Stages.idle_stages(state)
     moved? = Stages.fingerprint(state, which) != mark
-    idle = if(moved?, do: MapSet.new(), else: Stages.idle_stages(state))
-    seen = %{moved?: moved?, idle: idle, patient?: Stages.any_patient?(state)}
+    seen = %{moved?: moved?, idle: if(moved?, do: MapSet.new(), else: idle), patient?: patient?}
     apply_event(state, {:watched, which, seen})
   end
 
