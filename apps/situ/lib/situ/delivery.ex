@@ -16,8 +16,8 @@ defmodule Situ.Delivery do
   grows if the input is lossless. A dropping policy keeps its queue at the producer, so a slow consumer never holds
   more than the size of the queue.
 
-  If the process of a consumer with `on_error: :restart` dies, a lossless policy delivers again what it had not
-  handled. The restarted consumer emits nothing twice: messages up to its last one are not emitted again. With
+  If the process of a consumer with `on_error: :restart` dies, a lossless policy delivers the messages again that
+  it had not handled. The restarted consumer emits nothing twice: it does not repeat messages up to its last one. With
   `on_restart: :drop`, these messages are lost and count as dropped.
 
       iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)

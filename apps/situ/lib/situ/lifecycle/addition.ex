@@ -14,9 +14,10 @@ defmodule Situ.Lifecycle.Addition do
   import Situ.Lifecycle.State
 
   @type plan :: %{
-          members: %{State.id() => Member.t()},
-          links: %{term() => Links.link()},
-          lent: [term()]
+          required(:members) => %{State.id() => Member.t()},
+          required(:links) => %{term() => Links.link()},
+          required(:lent) => [term()],
+          optional(:again?) => boolean()
         }
 
   @doc """

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Output do
   @moduledoc false
-  # One output of a running component: what it has posted (see PostingRules), messages that wait for their time, and
-  # its subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
+  # One output of a running component: posted messages (see PostingRules), messages that wait for their time, and its
+  # subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
   alias Situ.Message
   alias Situ.Delivery.Batch
   alias Situ.Ports.Subscriber
@@ -103,8 +103,8 @@ defmodule Situ.Ports.Output do
     end
   end
 
-  # Words 4 to 6 are the stamp of the last message that was posted, words 1 to 3 of the last one that every subscriber
-  # has been sent. What still waits for demand is posted again by a process that replaces this one.
+  # Words 4 to 6 are the stamp of the last posted message, words 1 to 3 the stamp of the last message that was sent to
+  # every subscriber. A process that replaces this one posts the messages again that were still waiting for demand.
   defp record_posted(%{mark: nil}, _stamp), do: :ok
 
   defp record_posted(%{mark: {marks, base}}, {time, creation, id}) do

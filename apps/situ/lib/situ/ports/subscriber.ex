@@ -7,9 +7,9 @@ defmodule Situ.Ports.Subscriber do
   # for which the stage collects them with `take_buffer/1`; or a GenStage process, which takes messages and may be
   # watched by `monitor`.
   #
-  # If the policy redelivers, `unacked` holds what was sent and not handled yet: a process that replaces a dead consumer
-  # receives it again. The consumer's counters tell how much it has handled. Conversely, a process that replaces a dead
-  # producer skips what the dead one had sent (`resume`).
+  # If the policy redelivers, `unacked` holds the messages that were sent but not handled yet, according to the
+  # consumer's counters. A process that replaces a dead consumer receives them again. Conversely, a process that
+  # replaces a dead producer skips messages up to the last one that was sent (`resume`).
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}

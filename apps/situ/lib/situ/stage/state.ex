@@ -210,8 +210,8 @@ defmodule Situ.Stage.State do
   end
 
   @doc """
-  Returns whether what the stage has taken may count as handled: a process that replaces it receives the rest again, so
-  nothing that it has made of the messages may still wait here.
+  Returns whether the messages taken by the stage may count as handled. A process that replaces it receives all others
+  again, so no results of handled messages may still wait here.
   """
   @spec may_acknowledge?(t()) :: boolean()
   def may_acknowledge?(%__MODULE__{host: %{restarts?: false}}), do: true

@@ -1,8 +1,8 @@
 defmodule Situ.Stage.Step do
   @moduledoc false
   # One step of a stage: a component, or a chain of light operators, with its ports. The state of a stage is a list of
-  # steps (see State). Everything that happens to one step is a function of the step; `host` holds what the steps of a
-  # stage share.
+  # steps (see State). Everything that happens to one step is a function of the step; `host` holds the values that all
+  # steps of a stage share.
   alias Situ.{Clock, Error}
   alias Situ.Clock.Timers
   alias Situ.Component.{Callback, Context}
@@ -41,7 +41,7 @@ defmodule Situ.Stage.Step do
           control: :atomics.atomics_ref() | nil
         }
   @typedoc """
-  `index` is the position of the first of its `vertices` among those of the stage. In phase `:failed` the step takes no
+  `index` is the position of its first vertex in the stage. In phase `:failed` the step takes no
   more messages.
   """
   @type t :: %__MODULE__{
@@ -62,7 +62,7 @@ defmodule Situ.Stage.Step do
   @spec no_final_time() :: integer()
   def no_final_time, do: @never
 
-  @doc "Splits the vertices of a stage into those of its steps: each component, and each chain of operators."
+  @doc "Groups the vertices of a stage into steps: each component, and each chain of operators."
   @spec group_vertices([Vertex.t(), ...]) :: [{non_neg_integer(), [Vertex.t(), ...]}]
   def group_vertices(vertices) do
     vertices

@@ -13,7 +13,8 @@ defmodule Situ.Stage.StepRunner do
 
   @typedoc "The step has nothing to do, may have more, or lets the stage look into its mailbox first."
   @type outcome :: :idle | :more | :yield
-  @typep limits :: {room :: integer() | :infinity, started :: integer(), deadline :: integer()}
+  @typep limits ::
+           {room :: integer() | :infinity, started :: integer(), deadline :: integer() | :never}
 
   @doc """
   Returns whether the step has something to take or may produce something. It may still lack room for the results.
@@ -162,8 +163,8 @@ defmodule Situ.Stage.StepRunner do
     end
   end
 
-  # The pipeline's server closes the outputs once all inputs of the stage have closed; those of a step that gets its
-  # messages from this process close with its input.
+  # The pipeline's server closes the outputs once all inputs of the stage have closed. A step that gets its messages
+  # from this process closes its outputs with its input.
   defp close_input(step, %{name: name, tag: tag, producer: producer}, time) do
     step = step |> send_pending(true) |> publish_counts()
     {known?, inputs} = Inputs.close_input(step.inputs, name, tag)

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Work do
   @moduledoc false
-  # What a step has to do besides taking messages, and how many messages it takes together.
+  # The pending duties of a step besides taking messages, and the number of messages that it takes together.
 
   @quick_ns 100_000
   @slow_ns 1_000_000
@@ -60,7 +60,7 @@ defmodule Situ.Stage.Work do
   def add_closing(%__MODULE__{closings: closings} = work, closing),
     do: %{work | closings: closings ++ [closing]}
 
-  @doc "Returns whether the component has more output for what it has received."
+  @doc "Returns whether the component has more output for the messages it has received."
   @spec unfinished?(t()) :: boolean()
   def unfinished?(%__MODULE__{lingers: lingers?, continue: continue}),
     do: lingers? or continue != :none
