@@ -78,7 +78,9 @@ defmodule Situ.Ports.Outputs do
   def flush(%__MODULE__{own: own} = outputs, now),
     do: %{outputs | own: for({name, output} <- own, do: {name, Output.flush(output, now)})}
 
-  @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
+  @doc """
+  Takes the batches that wait for other steps of the stage: `[{tag, batches}]`. The next flush sends their closing marks.
+  """
   @spec take_local(t()) :: {[{term(), [Situ.Delivery.Batch.t()]}], t()}
   def take_local(%__MODULE__{} = outputs) do
     taken =
@@ -88,7 +90,7 @@ defmodule Situ.Ports.Outputs do
 
     outputs =
       Enum.reduce(taken, outputs, fn {tag, _}, outputs ->
-        map_outputs(outputs, &Output.map_tagged(&1, tag, fn sub -> %{sub | rear: []} end))
+        map_tagged(outputs, tag, &elem(Subscriber.take_buffer(&1), 1))
       end)
 
     {taken, outputs}

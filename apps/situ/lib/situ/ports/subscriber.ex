@@ -174,8 +174,8 @@ defmodule Situ.Ports.Subscriber do
     end
   end
 
-  defp deliver(%{demand: :local} = sub, batches, _n, _now),
-    do: %{sub | rear: :lists.reverse(batches, sub.rear)}
+  defp deliver(%{demand: :local} = sub, batches, n, _now),
+    do: %{sub | rear: :lists.reverse(batches, sub.rear), size: sub.size + n}
 
   defp deliver(%{size: 0, demand: demand} = sub, batches, n, _now)
        when demand == :infinity or demand >= n,
@@ -199,7 +199,7 @@ defmodule Situ.Ports.Subscriber do
   @doc "Takes the batches for another step of the same stage."
   @spec take_buffer(t()) :: {[Batch.t()], t()}
   def take_buffer(%__MODULE__{demand: :local, rear: rear} = sub),
-    do: {:lists.reverse(rear), %{sub | rear: []}}
+    do: {:lists.reverse(rear), %{sub | rear: [], size: 0}}
 
   @doc "Adds demand."
   @spec add_demand(t(), pos_integer() | :infinity) :: t()
