@@ -202,6 +202,20 @@ defmodule Situ.Ports.Output do
   """
   @spec post_results(t(), Situ.Time.t(), {Situ.Time.t(), [integer()], [term()]}, Situ.Time.t()) ::
           t()
+  # Messages up to `resume` were posted before a restart.
+  def post_results(%__MODULE__{resume: until} = output, last, {base, times, data}, now)
+      when until != nil do
+    case Enum.split_while(times, &(base + &1 <= until)) do
+      {repeated, []} ->
+        %{output | repeated: output.repeated + length(repeated)}
+
+      {repeated, times} ->
+        n = length(repeated)
+        output = %{output | resume: nil, repeated: output.repeated + n}
+        post_results(output, last, {base, times, Enum.drop(data, n)}, now)
+    end
+  end
+
   def post_results(%__MODULE__{} = output, last, {_base, [], []}, _now),
     do: %{output | last_time: last}
 
@@ -264,6 +278,24 @@ defmodule Situ.Ports.Output do
 
   defp close_parts([batch | rest], source_id, batches),
     do: close_parts(rest, source_id, [batch | batches])
+
+  @doc "Takes the batches that wait for other steps of the stage; their closing mark follows: `[{tag, batches}]`."
+  @spec take_local(t()) :: {[{term(), [Batch.t()]}], t()}
+  def take_local(%__MODULE__{subs: subs} = output) do
+    case for %{demand: :local, rear: [_ | _]} = sub <- subs, do: sub do
+      [] ->
+        {[], output}
+
+      waiting ->
+        taken = for sub <- waiting, do: {sub.tag, elem(Subscriber.take_buffer(sub), 0)}
+
+        emptied = fn sub ->
+          if sub in waiting, do: elem(Subscriber.take_buffer(sub), 1), else: sub
+        end
+
+        {taken, finish(%{output | subs: Enum.map(subs, emptied)})}
+    end
+  end
 
   @doc "Adds demand of the subscriber with this pid and tag. Returns `:error` for an unknown subscriber."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error

@@ -78,22 +78,16 @@ defmodule Situ.Ports.Outputs do
   def flush(%__MODULE__{own: own} = outputs, now),
     do: %{outputs | own: for({name, output} <- own, do: {name, Output.flush(output, now)})}
 
-  @doc """
-  Takes the batches that wait for other steps of the stage: `[{tag, batches}]`. The next flush sends their closing marks.
-  """
+  @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
   @spec take_local(t()) :: {[{term(), [Situ.Delivery.Batch.t()]}], t()}
-  def take_local(%__MODULE__{} = outputs) do
-    taken =
-      for {_, %{subs: subs}} <- outputs.own,
-          %{demand: :local, rear: [_ | _]} = sub <- subs,
-          do: {sub.tag, sub |> Subscriber.take_buffer() |> elem(0)}
-
-    outputs =
-      Enum.reduce(taken, outputs, fn {tag, _}, outputs ->
-        map_tagged(outputs, tag, &elem(Subscriber.take_buffer(&1), 1))
+  def take_local(%__MODULE__{own: own} = outputs) do
+    {own, taken} =
+      Enum.map_reduce(own, [], fn {name, output}, taken ->
+        {more, output} = Output.take_local(output)
+        {{name, output}, more ++ taken}
       end)
 
-    {taken, outputs}
+    {taken, %{outputs | own: own}}
   end
 
   @doc "Sets whether messages are withheld until the pipeline knows the end; `flush/2` sends them after that."

@@ -189,9 +189,7 @@ defmodule Situ.Stage.Loop do
   # Passes what step `i` has posted on to the steps after it; returns whether there was anything.
   defp pass_on(%{steps: steps, links: links} = state, i) do
     step = elem(steps, i)
-    now = step.context.now
-    {taken, outputs} = step.outputs |> Outputs.flush(now) |> Outputs.take_local()
-    outputs = if taken == [], do: outputs, else: Outputs.flush(outputs, now)
+    {taken, outputs} = step.outputs |> Outputs.flush(step.context.now) |> Outputs.take_local()
     state = State.put_step(state, i, %{step | outputs: outputs})
 
     state =

@@ -27,8 +27,9 @@ defmodule Situ.Lifecycle.RedeliveryTest do
       Pipeline.start(
         fn p ->
           stream = build.(p)
-          Situ.each(stream, &send(me, {:fast, &1}), async: true)
-          Situ.each(stream, &receive_slowly(me, &1), async: true, policy: Delivery.throttle(2))
+          Situ.each(stream, &send(me, {:fast, {&1, &2.sequence_id}}), async: true)
+
+          Situ.each(stream, &receive_slowly(me, &1, &2), async: true, policy: Delivery.throttle(2))
         end,
         pipeline: [max_restarts: 1_000, replay: [speed: :max]]
       )
@@ -39,8 +40,8 @@ defmodule Situ.Lifecycle.RedeliveryTest do
     {Enum.reverse(values.fast), Enum.reverse(values.slow), report}
   end
 
-  defp receive_slowly(test, value) do
-    send(test, {:slow, value})
+  defp receive_slowly(test, value, message) do
+    send(test, {:slow, {value, message.sequence_id}})
 
     if value in @stops do
       send(test, {:waiting, self()})
@@ -76,7 +77,7 @@ defmodule Situ.Lifecycle.RedeliveryTest do
 
   defp assert_complete({fast, slow, report}) do
     assert restarts(report) == length(@stops)
-    assert fast == Enum.to_list(0..(@count - 1))
+    assert fast == for(value <- 0..(@count - 1), do: {value, value + 1})
     assert slow == fast
 
     for edge <- report.snapshot.edges,
