@@ -88,7 +88,7 @@ defmodule Situ.Stage do
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case State.find_input(state, tag) do
       nil -> {:noreply, Loop.handle_plain_message(state, message)}
-      found -> {:noreply, Loop.handle_closing(state, found, closing_time(reason, state))}
+      found -> state |> Loop.handle_closing(found, closing_time(reason, state)) |> unless_over()
     end
   end
 

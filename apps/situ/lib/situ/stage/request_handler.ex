@@ -297,15 +297,12 @@ defmodule Situ.Stage.RequestHandler do
     )
   end
 
-  # Closes the outputs at `time`, each after everything that waits before it in the stage. If later messages count, they
-  # close no earlier than their last message.
-  defp close_outputs(%{steps: steps} = state, time) do
-    Enum.reduce(0..(tuple_size(steps) - 1), state, fn i, state ->
-      state = Loop.run_waiting(state)
-      State.update_step(state, i, &close_step(&1, time))
-    end)
-    |> Loop.settle()
-  end
+  # Closes the outputs at `time`, after everything that waits before them. Steps that get their messages from the first
+  # one close after it, also after messages that wait for their time. If later messages count, the outputs close no
+  # earlier than their last message.
+  defp close_outputs(state, time),
+    do:
+      state |> Loop.run_waiting() |> State.update_step(0, &close_step(&1, time)) |> Loop.settle()
 
   defp close_step(step, time) do
     all_count? = Step.final_time(step) >= Step.no_final_time() - 1 and step.host.control != nil

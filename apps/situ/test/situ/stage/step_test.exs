@@ -34,6 +34,21 @@ defmodule Situ.Stage.StepTest do
     end
   end
 
+  test "messages that wait for their time pass through the operators after them" do
+    build = fn p ->
+      [
+        Situ.from_enumerable(p, 0..2, every: 10_000_000),
+        Situ.from_enumerable(p, 3..5, every: 15_000_000)
+      ]
+      |> Situ.merge()
+      |> Situ.map(& &1.data, policy: Delivery.synchronous())
+    end
+
+    # In real time, the last messages are posted before their time.
+    for opts <- [[], [replay: [speed: :max]]],
+        do: assert(build |> Situ.to_list(pipeline: opts) |> Enum.sort() == [0, 1, 2, 3, 4, 5])
+  end
+
   test "a failing operator in the process of a source ends the pipeline with its error" do
     build = fn p ->
       p
