@@ -362,6 +362,26 @@ defmodule Situ.GenStageTest do
       assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
     end
 
+    test "a consumer may subscribe to an accumulating output after all sources have ended" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p |> Situ.from_enumerable(0..4, every: 10) |> GenStage.accumulate(name: "Out")
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      await_stopping(p)
+      {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
+      ref = subscribe(pid, opts)
+      ask(pid, ref, 100)
+      GenServer.cast(pid, {:"$demand", :forward})
+      assert Enum.map(events(pid, ref, :closed), & &1.data) == [0, 1, 2, 3, 4]
+      assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
+    end
+
+    defp await_stopping(p), do: if(Pipeline.state(p) != :stopping, do: await_stopping(p))
+
     test "an accumulating output does not prevent a pipeline from ending" do
       {:ok, p} =
         Pipeline.start(
@@ -403,8 +423,9 @@ defmodule Situ.GenStageTest do
       {:ok, p} =
         Pipeline.start(
           fn p ->
+            # The other part gets no further than the window of the output that waits for its consumer.
             stream = Situ.from_enumerable(p, Stream.iterate(0, &(&1 + 1)), every: 10)
-            Situ.each(stream, fn v -> if v == 500, do: raise("bang") end)
+            Situ.each(stream, fn v -> if v == 5_000, do: raise("bang") end)
             GenStage.accumulate(stream, name: "Out")
           end,
           pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
@@ -413,7 +434,7 @@ defmodule Situ.GenStageTest do
       {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
       ref = subscribe(pid, opts)
       GenServer.cast(pid, {:"$demand", :forward})
-      ask(pid, ref, 5_000)
+      ask(pid, ref, 50_000)
       assert {:error, _} = Pipeline.await(p, 30_000)
       assert {:cancel, %Situ.Error{code: :component_failed}} = last_word(pid, ref)
     end

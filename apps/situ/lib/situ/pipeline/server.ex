@@ -157,6 +157,10 @@ defmodule Situ.Pipeline.Server do
   defp handle_request(request, from, %{life: %{phase: :running}} = state),
     do: handle_running_request(request, from, state)
 
+  # An output that waits for its consumer may still have messages after all sources have ended.
+  defp handle_request({:subscription, which}, _from, %{life: %{phase: :stopping}} = state),
+    do: {:reply, Dynamic.Tap.fetch_subscription(state, which), state}
+
   defp handle_request(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
 
   defp handle_running_request({:tap, request}, from, state),
