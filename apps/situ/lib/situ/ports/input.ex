@@ -118,16 +118,23 @@ defmodule Situ.Ports.Input do
          else: (nil -> input)
   end
 
-  @doc "Adds the closing mark, after the last message."
+  @doc "Adds the closing mark. Waiting messages are dropped if they begin after its time."
   @spec push_closed(t(), Situ.Time.t()) :: t()
-  def push_closed(%__MODULE__{lossy: nil} = input, time),
-    do: %{input | rear: [{:closed, time} | input.rear]}
+  def push_closed(%__MODULE__{lossy: nil} = input, time) do
+    input = if late?(input, time), do: input |> discard_all() |> elem(1), else: input
+    %{input | rear: [{:closed, time} | input.rear]}
+  end
 
-  def push_closed(%__MODULE__{lossy: {queue, fresh}} = input, time) do
+  # The producer has nothing newer to send, and does not reply to a request any more.
+  def push_closed(%__MODULE__{lossy: {queue, _fresh}} = input, time) do
     {queue, late} = Queue.push(queue, {:closed, time})
     count_dropped(input, length(late))
-    %{input | lossy: {queue, fresh}}
+    %{input | lossy: {queue, :sure}}
   end
+
+  # An atom is more than any number.
+  defp late?(%{front: [], rear: []}, _time), do: false
+  defp late?(input, time), do: head_time(%{input | held: nil}) > time
 
   @doc "Returns whether an entry can be taken."
   @spec has_entry?(t()) :: boolean()

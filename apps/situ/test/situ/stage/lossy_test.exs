@@ -153,6 +153,39 @@ defmodule Situ.Stage.LossyTest do
     Process.exit(p, :kill)
   end
 
+  # Produces one message per demand, and announces its end together with the last one.
+  defmodule Numbers do
+    use Situ.Component, outputs: [out: :any]
+    @impl true
+    def init(_opts), do: {:ok, 0}
+    @impl true
+    def handle_demand(_n, _context, 9), do: {[{:out, 9_000_000, 9}, {:complete, 9_000_000}], 10}
+    def handle_demand(_n, _context, n) when n > 9, do: {[], n}
+    def handle_demand(_n, _context, n), do: {[{:out, n * 1_000_000, n}], n + 1}
+  end
+
+  test "a stream that ends while its consumer asks for newer messages is received to its end" do
+    even? = &(rem(&1, 2) == 0)
+
+    for policy <- [Delivery.latest(), Delivery.max_queue(2, guarantee: even?)] do
+      test = self()
+
+      build = fn p ->
+        p
+        |> Situ.source(Numbers)
+        |> Situ.each(fn n -> Process.sleep(3) && send(test, {:got, n}) end, policy: policy)
+      end
+
+      replay = [interval: {0, :unbounded}, speed: 1.0]
+      assert {:ok, _} = Pipeline.run(build, pipeline: [replay: replay])
+      received = got()
+
+      if policy.guarantee,
+        do: assert(Enum.filter(received, even?) == [0, 2, 4, 6, 8]),
+        else: assert(List.last(received) == 9)
+    end
+  end
+
   test "messages waiting at the producer are delivered when the stream ends" do
     p = start(Delivery.max_queue(5), &push/2)
     source = source()
