@@ -175,7 +175,9 @@ defmodule Situ.Store.RotationTest do
         pieces = record(root, 10_000 + run, [first_extent: 65_536] ++ bytes) -- [other.path]
         size = pieces |> Enum.map(&Store.Folder.total_size/1) |> Enum.sum()
         assert size < 250_000 + 100_000, "run #{run}: #{size} bytes"
-        assert List.last(numbers(List.last(pieces))) == 9_999 + run
+        # The last segment may hold only the other stream.
+        newest = pieces |> Enum.map(&numbers/1) |> Enum.reject(&(&1 == [])) |> List.last()
+        assert List.last(newest) == 9_999 + run
       end
 
       # A recording with the same name that is not a segment belongs to somebody else.
