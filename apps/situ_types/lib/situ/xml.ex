@@ -1,9 +1,9 @@
 defmodule Situ.Xml do
   @moduledoc false
-  # Parses untrusted XML with the SAX parser of Erlang's xmerl, which creates no atoms. A document type
-  # with declarations or an external file is rejected before its content is read, because it can declare entities that
-  # expand to gigabytes or read files. The size of the
-  # result is bounded by the size of the document, and its depth by `@max_depth`.
+  # Parses untrusted XML with the SAX parser of Erlang's xmerl, which creates no atoms. A document type with
+  # declarations or an external file is rejected before its content is read, because it can declare entities that expand
+  # to gigabytes or read files. The size of the result is bounded by the size of the document, and its depth by
+  # `@max_depth`.
 
   @typedoc "A name, attributes, and the child elements and texts in their order."
   @type element :: {String.t(), %{String.t() => String.t()}, [element() | String.t()]}

@@ -39,8 +39,8 @@ defmodule Situ.Cluster.LogWriter do
     do: GenServer.cast(writer, {:append, name, batches, mark})
 
   @doc """
-  Stores a checkpoint with `outputs`, which precede the checkpoint and are not in the log yet. Then appends
-  these outputs and replies to `from`.
+  Stores a checkpoint with `outputs`, which precede the checkpoint and are not in the log yet. Then appends these
+  outputs and replies to `from`.
   """
   @spec commit_checkpoint(
           pid(),

@@ -13,11 +13,10 @@ defmodule Situ.Link.Source do
 
   alias Situ.{Error, Type}
   alias Situ.Link.Connection
-  alias Situ.Link.Server.RecordingReader
   alias Situ.Link.Wire.{Batch, ClockEstimate}
   alias Situ.Store.Envelopes
 
-  @before_all RecordingReader.before_all()
+  @before_all Batch.before_all()
 
   defstruct [
     :link,

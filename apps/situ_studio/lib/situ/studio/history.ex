@@ -233,7 +233,7 @@ defmodule Situ.Studio.History do
     key = first_key(history, name, ordinal)
     total = min(total || @most_selected, @most_selected)
 
-    if limit >= @many and select?(history, key, {name, ordinal, to}, total) do
+    if limit >= @many and cheaper_to_select?(history, key, {name, ordinal, to}, total) do
       select_rows(messages, key, to, total)
     else
       collect_rows(messages, key, {name, to}, limit)
@@ -254,7 +254,7 @@ defmodule Situ.Studio.History do
     end
   end
 
-  defp select?(history, {_, _}, {name, ordinal, to}, total) do
+  defp cheaper_to_select?(history, {_, _}, {name, ordinal, to}, total) do
     stop =
       if to == :unbounded,
         do: next_ordinal(history, name),
@@ -263,7 +263,7 @@ defmodule Situ.Studio.History do
     min(stop - ordinal, total) * @lookup_cost > :ets.info(history.messages, :size)
   end
 
-  defp select?(_history, _key, _window, _total), do: false
+  defp cheaper_to_select?(_history, _key, _window, _total), do: false
 
   # The atom `:unbounded` sorts after all numbers.
   defp select_rows(messages, {name, from}, to, total) do

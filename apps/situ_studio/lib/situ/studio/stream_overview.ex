@@ -122,8 +122,8 @@ defmodule Situ.Studio.StreamOverview do
 
     with {:ok, points} <- read_or_sample_points(recording, info, {from, to}, n) do
       most = max(div(to - from, bin), 2) + 32
-      {points, raw?} = points |> shift_points(-offset) |> Bins.fold_points(bin, most)
-      {:ok, shift_points(points, offset), raw?}
+      {points, raw?} = points |> Bins.shift_points(-offset) |> Bins.fold_points(bin, most)
+      {:ok, Bins.shift_points(points, offset), raw?}
     end
   end
 
@@ -133,9 +133,6 @@ defmodule Situ.Studio.StreamOverview do
     with {:ok, _width, rows} <- Store.summary(recording, info, from, to, bins),
          do: {:ok, rows, false}
   end
-
-  defp shift_points(points, 0), do: points
-  defp shift_points(points, ns), do: for(p <- points, do: put_elem(p, 0, elem(p, 0) + ns))
 
   defp read_or_sample_points(recording, info, {from, to}, n) do
     if n <= @folded or is_map_key(info.extra, :stored) do

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.RequestEncoding do
   @moduledoc false
-  # The parts of requests that speech services share: audio as a WAV file in memory, forms, and the reply to a
-  # text.
+  # The parts of requests that speech services share: audio as a WAV file in memory, forms, and the reply to
+  # a text.
   alias Situ.{AudioBuffer, AudioFormat, AudioOps, Error}
   alias Situ.Infer.Speech.TextCheck
 

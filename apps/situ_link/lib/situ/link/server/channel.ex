@@ -3,8 +3,7 @@ defmodule Situ.Link.Server.Channel do
   # Holds the server's state of one stream sent to one client: the request, its position, and the
   # remaining credit. Pure.
   alias Situ.Delivery
-  alias Situ.Link.Wire.{DatagramCodec, Frame}
-  alias Situ.Link.Server.RecordingReader
+  alias Situ.Link.Wire.{Batch, DatagramCodec, Frame}
 
   @enforce_keys [:id, :name]
   defstruct [
@@ -54,7 +53,7 @@ defmodule Situ.Link.Server.Channel do
   defp parse_start(_other), do: {:error, "the subscription has no valid start"}
 
   defp parse_start_time(time, from) do
-    min = RecordingReader.before_all()
+    min = Batch.before_all()
 
     with {:ok, time} <- parse_number(time, min, -min, "time"), do: {:ok, from.(time)}
   end

@@ -12,7 +12,7 @@ defmodule Situ.Link.Server.RecordingReader do
 
   @batch 512
   # This time is earlier than any other, but far from the limits of 64-bit integers.
-  @before_all -0x4000000000000000
+  @before_all Batch.before_all()
 
   defstruct [:series, :store, live?: false, version: 0, count: 0, notice: :no, catalog: -1]
 
@@ -31,10 +31,6 @@ defmodule Situ.Link.Server.RecordingReader do
 
   @typedoc "A catalogue entry for a stream: its name, and its `Situ.Type` as text."
   @type entry :: %{name: String.t(), type: String.t()}
-
-  @doc "Returns an originating time that is earlier than all others."
-  @spec before_all() :: Situ.Time.t()
-  def before_all, do: @before_all
 
   @doc "Opens a recording, which may not exist yet."
   @spec open(spec()) :: {:ok, t()} | {:error, Error.t()}

@@ -23,6 +23,10 @@ defmodule Situ.Link.Wire.Batch do
   @typedoc "First and last originating time, count and payload: the fields of a `batch` frame after its channel."
   @type part :: {Situ.Time.t(), Situ.Time.t(), pos_integer(), iodata()}
 
+  @doc "Returns an originating time that is earlier than the times of all messages."
+  @spec before_all() :: Situ.Time.t()
+  def before_all, do: -0x4000000000000000
+
   @doc """
   Encodes messages as payloads of at most about 256 KiB, or of a single larger message.
 

@@ -54,7 +54,7 @@ defmodule Situ.Link.Server.RecordingReaderTest do
     # The segments of live streams are one recording.
     {:ok, live} = RecordingReader.open({:live, root, "r"})
     {:ok, cursor, before} = RecordingReader.open_cursor(live, "n", :start)
-    assert before == RecordingReader.before_all()
+    assert before == Situ.Link.Wire.Batch.before_all()
     assert {[1, 2, 3, 4, 5, 8, 9, 10, 11, 12], {:ended, 20}} = times(live, cursor)
     {:ok, newest, ^before} = RecordingReader.open_cursor(state, "n", :start)
     assert {[9, 10, 11, 12], {:ended, 20}} = times(state, newest)

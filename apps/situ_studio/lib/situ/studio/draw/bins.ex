@@ -27,6 +27,16 @@ defmodule Situ.Studio.Draw.Bins do
   @spec gap(Situ.Time.t()) :: gap()
   def gap(time), do: {time, nil, nil, nil, 1}
 
+  @doc """
+  Shifts the times of points, or of other rows that begin with a time, by `offset` ns.
+
+      iex> Situ.Studio.Draw.Bins.shift_points([{5, 1.0, 1.0, 1.0, 1}], 10)
+      [{15, 1.0, 1.0, 1.0, 1}]
+  """
+  @spec shift_points([tuple()], Situ.Time.duration()) :: [tuple()]
+  def shift_points(points, 0), do: points
+  def shift_points(points, offset), do: for(p <- points, do: put_elem(p, 0, elem(p, 0) + offset))
+
   @doc "Returns whether a point interrupts its line."
   @spec gap?(point() | gap()) :: boolean()
   def gap?(point), do: elem(point, 1) == nil

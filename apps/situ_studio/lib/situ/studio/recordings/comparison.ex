@@ -6,6 +6,7 @@ defmodule Situ.Studio.Recordings.Comparison do
   @behaviour Situ.Recording
 
   alias Situ.{Interval, Message, Recording, Store}
+  alias Situ.Studio.Draw.Bins
   alias Situ.Studio.{Gap, StreamReader}
   alias Situ.Studio.Recordings.Origin
 
@@ -125,19 +126,18 @@ defmodule Situ.Studio.Recordings.Comparison do
   @impl true
   def summary(_comparison, %{extra: %{offset: offset}} = info, from, to, pixels) do
     with {:ok, width, rows} <- Origin.summary(info, from - offset, to - offset, pixels),
-         do: {:ok, width, shift_rows(rows, offset)}
+         do: {:ok, width, Bins.shift_points(rows, offset)}
   end
 
   @impl true
   def tracks(_comparison, %{extra: %{offset: offset}} = info, from, to, level, most) do
     with {:ok, counts, tracks} <- Origin.tracks(info, from - offset, to - offset, level, most) do
-      tracks = for {key, {kind, rows}} <- tracks, do: {key, {kind, shift_rows(rows, offset)}}
-      {:ok, shift_rows(counts, offset), tracks}
+      tracks =
+        for {key, {kind, rows}} <- tracks, do: {key, {kind, Bins.shift_points(rows, offset)}}
+
+      {:ok, Bins.shift_points(counts, offset), tracks}
     end
   end
-
-  defp shift_rows(rows, 0), do: rows
-  defp shift_rows(rows, offset), do: for(row <- rows, do: put_elem(row, 0, elem(row, 0) + offset))
 
   defp shift_message(message, 0), do: message
 
