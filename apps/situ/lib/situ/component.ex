@@ -163,8 +163,17 @@ defmodule Situ.Component do
   @doc "Returns the option schema, see `Situ.Options`."
   @callback options() :: Situ.Options.schema()
 
+  @doc """
+  Returns whether light operators after the component run in its process. It is then as if they were part of its
+  callbacks: a slow operator delays the component, and no message waits between the two.
+
+  Defined by `use Situ.Component, share_process: true`. Without it, the operators run in a separate process.
+  """
+  @callback share_process?() :: boolean()
+
   @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
   @optional_callbacks handle_request: 4
+  @optional_callbacks share_process?: 0
   @optional_callbacks migrate: 3, describe: 1, snapshot: 1, restore: 2, reopen: 1
 
   @doc false
@@ -181,6 +190,11 @@ defmodule Situ.Component do
       @impl true
       def options, do: unquote(Keyword.get(opts, :options, []))
       defoverridable inputs: 0, outputs: 0, options: 0
+
+      if unquote(Keyword.get(opts, :share_process, false)) do
+        @impl true
+        def share_process?, do: true
+      end
     end
   end
 

@@ -47,16 +47,26 @@ defmodule Situ.Stage do
   def init_it(args) do
     Process.flag(:trap_exit, true)
     Process.put(:situ_pipeline, args.server)
+
+    case start_component(args) do
+      {:ok, state} -> :gen_server.enter_loop(__MODULE__, [], state)
+      :error -> exit(:normal)
+    end
+  end
+
+  @doc "Initializes the state and the component of a stage, and reports the outcome to the server."
+  @spec start_component(map()) :: {:ok, State.t()} | :error
+  def start_component(args) do
     state = State.new(args)
 
     case Subscriptions.start_component(state) do
       {:ok, state} ->
         report(state, :up)
-        :gen_server.enter_loop(__MODULE__, [], state)
+        {:ok, state}
 
       {:error, error} ->
         report(state, {:init_failed, error})
-        exit(:normal)
+        :error
     end
   end
 
@@ -99,8 +109,8 @@ defmodule Situ.Stage do
     end
   end
 
-  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
-      when is_pid(pid) and is_integer(n) and n > 0 do
+  def handle_info({:"$gen_producer", {address, _tag} = from, {:ask, n} = request}, state)
+      when (is_pid(address) or is_tuple(address)) and is_integer(n) and n > 0 do
     case State.update_outputs(state, &Outputs.add_demand(&1, from, n)) do
       {:ok, state} ->
         state |> Subscriptions.wake_sources() |> Loop.handle_demand() |> unless_over()
@@ -110,12 +120,13 @@ defmodule Situ.Stage do
     end
   end
 
-  def handle_info({:"$gen_producer", {pid, _tag} = from, request}, state) when is_pid(pid),
-    do:
-      state
-      |> Subscriptions.handle_consumer_request(from, request)
-      |> Loop.run_slice()
-      |> unless_over()
+  def handle_info({:"$gen_producer", {address, _tag} = from, request}, state)
+      when is_pid(address) or is_tuple(address),
+      do:
+        state
+        |> Subscriptions.handle_consumer_request(from, request)
+        |> Loop.run_slice()
+        |> unless_over()
 
   def handle_info(:situ_turn, state), do: {:noreply, Loop.run_scheduled_slice(state)}
   def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.handle_alarm(state)}

@@ -3,6 +3,7 @@ defmodule Situ.Fusion.FuseComponent do
   # The component of join, fuse, and interpolate and sample with a clock. Its inputs are :primary and the secondaries
   # :s0, :s1 ..., which can be added and removed if their values form a map.
   use Situ.Component,
+    share_process: true,
     inputs: [],
     outputs: [out: :any],
     options: [

@@ -3,6 +3,7 @@ defmodule Situ.Fusion.MergeComponent do
   # The component of merge. It emits complete messages in order of arrival, with the clock's time. Inputs can be added
   # and removed.
   use Situ.Component,
+    share_process: true,
     inputs: [],
     outputs: [out: Situ.Message],
     options: [members: [type: :list, required: true, doc: "`{input, key}` of each member."]]

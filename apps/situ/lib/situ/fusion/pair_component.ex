@@ -2,6 +2,7 @@ defmodule Situ.Fusion.PairComponent do
   @moduledoc false
   # The component of pair. It pairs each primary with the secondary that arrived last.
   use Situ.Component,
+    share_process: true,
     inputs: [primary: :any, secondary: :any],
     outputs: [out: :any],
     options: [creator: [type: {:fun, 2}, required: true], initial: [type: :any]]

@@ -2,6 +2,7 @@ defmodule Situ.Fusion.SampleComponent do
   @moduledoc false
   # The component of sample and interpolate with a fixed interval.
   use Situ.Component,
+    share_process: true,
     inputs: [in: :any],
     outputs: [out: :any],
     options: [

@@ -2,6 +2,7 @@ defmodule Situ.Fusion.ZipComponent do
   @moduledoc false
   # The component of zip.
   use Situ.Component,
+    share_process: true,
     inputs: [],
     outputs: [out: :list],
     options: [names: [type: {:list, :atom}, required: true]]

@@ -2,6 +2,7 @@ defmodule Situ.Generator.Source do
   @moduledoc false
   # The pull source of the generators. It emits items on demand, up to the replay's end.
   use Situ.Component,
+    share_process: true,
     inputs: [],
     outputs: [out: :any],
     options: [

@@ -7,13 +7,18 @@ defmodule Situ.Graph.Plan do
   # `on_error:` and belong to the same composite (which can be stopped alone). It joins the process of a component
   # with one output if the policy between them is synchronous, `throttle(1)` (unless the component is a source that
   # cannot wait), or the pipeline's default throttle. No messages are then in flight between them.
+  #
+  # Such stages, and components that are as light (see `c:Situ.Component.share_process?/0`), then share a process with
+  # their neighbours (see Situ.Stage.SharedProcess) unless a policy between them drops messages, one of them has
+  # `async: true`, restarts or skips messages, or they belong to different composites.
   # See docs/adr/0010-one-process-per-component-or-chain.md.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 
   defstruct stages: [], edges: [], inline: []
 
-  @type stage :: %{id: pos_integer(), vertices: [Vertex.t()]}
+  @typedoc "Stages with the same `group` share a process."
+  @type stage :: %{id: pos_integer(), vertices: [Vertex.t()], group: pos_integer() | nil}
   @type t :: %__MODULE__{
           stages: [stage()],
           edges: [Graph.Edge.t()],
@@ -61,7 +66,39 @@ defmodule Situ.Graph.Plan do
         }
       end
 
+    groups = group_stages(stages, process)
+    stages = for stage <- stages, do: Map.put(stage, :group, groups[stage.id])
     %__MODULE__{stages: stages, edges: process, inline: inline}
+  end
+
+  # Returns the group of each stage that shares a process with another one.
+  defp group_stages(stages, edges) do
+    light =
+      for %{id: id, vertices: vertices} = stage <- stages,
+          light_stage?(stage),
+          vertex <- vertices,
+          into: %{},
+          do: {vertex.id, {id, vertex}}
+
+    digraph = :digraph.new()
+    for {_id, {stage, _vertex}} <- light, do: :digraph.add_vertex(digraph, stage)
+
+    for edge <- edges,
+        {from, sender} <- List.wrap(light[elem(edge.from, 0)]),
+        {to, receiver} <- List.wrap(light[elem(edge.to, 0)]),
+        sender.scope == receiver.scope and not Delivery.lossy?(edge.policy),
+        do: :digraph.add_edge(digraph, from, to)
+
+    groups = :digraph_utils.components(digraph)
+    :digraph.delete(digraph)
+    for [_, _ | _] = ids <- groups, id <- ids, into: %{}, do: {id, Enum.min(ids)}
+  end
+
+  defp light_stage?(%{vertices: vertices}) do
+    Enum.all?(vertices, fn vertex ->
+      vertex.on_error == :stop and vertex.unit == nil and not vertex.async and
+        (vertex.module == :operator or Vertex.shares_process?(vertex))
+    end)
   end
 
   defp follow_chain(graph, next, id) do

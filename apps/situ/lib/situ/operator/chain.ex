@@ -172,7 +172,19 @@ defmodule Situ.Operator.Chain do
   """
   @spec compose(steps()) :: (term(), Message.t() | nil -> term() | failure())
   def compose([]), do: fn data, _message -> data end
+  def compose([step]), do: compose_step(step, nil)
   def compose([step | rest]), do: compose_step(step, compose(rest))
+
+  # The most frequent steps are written out, because a message passes through them in a few calls.
+  defp compose_step({:map, fun, i}, nil) do
+    fn data, _message ->
+      try do
+        fun.(data)
+      catch
+        kind, reason -> {:situ_step, i, kind, reason, __STACKTRACE__}
+      end
+    end
+  end
 
   defp compose_step({:map, fun, i}, next) do
     fn data, message ->
@@ -185,6 +197,19 @@ defmodule Situ.Operator.Chain do
       end
     end
   end
+
+  defp compose_step({:each, fun, i}, nil) do
+    fn data, _message ->
+      try do
+        fun.(data)
+        data
+      catch
+        kind, reason -> {:situ_step, i, kind, reason, __STACKTRACE__}
+      end
+    end
+  end
+
+  defp compose_step(step, nil), do: compose_step(step, fn data, _message -> data end)
 
   defp compose_step({kind, _fun, _i} = step, next)
        when kind in [:map2, :filter, :filter2, :each, :each2] do

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Inspection do
   @moduledoc false
   # Reports the state of a pipeline: report, snapshot and progress. Reads counters and sends no requests to components.
   alias Situ.Diagnostics.{Averages, Snapshot, SnapshotBuilder, Trace}
-  alias Situ.Pipeline.{Report, State}
+  alias Situ.Pipeline.{Report, Stages, State}
   alias Situ.Ports.{Counters, ErrorCounters}
 
   # The minimum interval between two observations, because each one costs some time.
@@ -43,10 +43,10 @@ defmodule Situ.Pipeline.Inspection do
     now = System.monotonic_time(:millisecond)
 
     if described == nil or now - described > 200 do
-      for {id, %{vertices: [%{module: module} | _], pid: pid}} <- state.stages,
+      for {id, %{vertices: [%{module: module} | _]}} <- state.stages,
           state.life.stages[id].status == :running,
           module != :operator and function_exported?(module, :describe, 1),
-          do: send(pid, {:situ, :describe})
+          do: Stages.send_request(state, id, :describe)
 
       update_view(state, described: now)
     else

@@ -42,9 +42,18 @@ defmodule Situ.Pipeline.LifecycleRunner do
   def handle_exit(state, pid, reason) do
     case Map.pop(state.pids, pid) do
       {nil, _} -> state
-      {id, pids} -> handle_stage_exit(%{state | pids: pids}, id, reason)
+      {ids, pids} -> Enum.reduce(ids, %{state | pids: pids}, &handle_stage_exit(&2, &1, reason))
     end
   end
+
+  @doc "Handles the end of a stage whose process continues with other stages."
+  @spec handle_stage_end(State.t(), pos_integer()) :: State.t()
+  def handle_stage_end(state, id),
+    do: state |> Stages.remove_from_process(id) |> handle_stage_exit(id, :normal)
+
+  # The end of another stage of the process may have dropped this one.
+  defp handle_stage_exit(%{stages: stages} = state, id, _reason) when not is_map_key(stages, id),
+    do: state
 
   defp handle_stage_exit(state, id, reason) do
     error = Errors.component_killed(hd(state.stages[id].vertices).path, reason)
@@ -59,12 +68,10 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @doc "Handles a stage that failed to initialize. Its process ends by itself, so its stage is free for another one."
   @spec handle_init_failure(State.t(), pos_integer(), Error.t()) :: State.t()
   def handle_init_failure(state, id, error) do
-    %{pid: pid} = state.stages[id]
-
     state
     |> fail_pending(id)
     |> __MODULE__.apply_event({:init_failed, id, error})
-    |> handle_exit(pid, :normal)
+    |> handle_stage_end(id)
   end
 
   @doc "Fails the requests of all callers that wait for this stage."

@@ -370,6 +370,9 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
+  defp handle_stage_message(:ended, id, state),
+    do: state |> LifecycleRunner.handle_stage_end(id) |> Termination.stop_if_finished()
+
   # A graph that is not planned yet is renewed when it is planned.
   defp begin_reload(%{life: %{phase: phase, step: step}} = state)
        when phase in [:starting, :running] and step != :handlers,

@@ -1,12 +1,13 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
   # Spawns, wires and measures the processes of a pipeline. Carries out the decisions of the life cycle.
-  alias Situ.{Clock, Lifecycle, Stage}
+  alias Situ.{Clock, Delivery, Lifecycle, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
   alias Situ.Pipeline.{State, StoppedSnapshot}
   alias Situ.Ports.{Counters, Output, ErrorCounters}
+  alias Situ.Stage.SharedProcess
 
   @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
   @spec install_plan(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
@@ -29,9 +30,9 @@ defmodule Situ.Pipeline.Stages do
     counters = Enum.into(entered, counters)
 
     stages =
-      Map.new(plan.stages, fn %{id: id, vertices: [head | _] = vertices} ->
+      Map.new(plan.stages, fn %{id: id, vertices: [head | _] = vertices, group: group} ->
         tail = if edge = inline[head.id], do: counters[edge.id]
-        {id, build_entry(id, vertices, tail)}
+        {id, %{build_entry(id, vertices, tail) | group: group}}
       end)
 
     members = Map.new(stages, fn {id, stage} -> {id, build_member(stage, extra)} end)
@@ -74,6 +75,8 @@ defmodule Situ.Pipeline.Stages do
     %{
       id: id,
       pid: nil,
+      group: nil,
+      shared?: false,
       vertices: vertices,
       tally: ErrorCounters.new(length(vertices)),
       control: control,
@@ -117,7 +120,13 @@ defmodule Situ.Pipeline.Stages do
   end
 
   defp reset_entry(stage, :fresh, _limit),
-    do: {:ok, %{build_entry(stage.id, stage.vertices, stage.tail) | tally: stage.tally}}
+    do:
+      {:ok,
+       %{
+         build_entry(stage.id, stage.vertices, stage.tail)
+         | tally: stage.tally,
+           group: stage.group
+       }}
 
   defp reset_entry(%{vertices: [head | _]} = stage, :checkpoint, limit) do
     with {:ok, memory} <- StoppedSnapshot.merge(stage.stopped, limit, head) do
@@ -148,29 +157,42 @@ defmodule Situ.Pipeline.Stages do
     struct!(base, extra)
   end
 
-  @doc "Spawns a process for each stage, for the first time or again."
+  @doc "Spawns a process for each stage or group of stages, for the first time or again."
   @spec spawn_stages(State.t(), [pos_integer()]) :: State.t()
-  def spawn_stages(state, ids), do: Enum.reduce(ids, state, &spawn_stage/2)
+  def spawn_stages(state, ids) do
+    ids
+    |> Enum.group_by(&(state.stages[&1].group || {:alone, &1}))
+    |> Enum.reduce(state, fn {_group, ids}, state -> spawn_process(state, Enum.sort(ids)) end)
+  end
 
-  defp spawn_stage(id, state) do
-    stage = state.stages[id]
-
+  defp spawn_process(state, ids) do
     pid =
-      Stage.spawn_link(%{
-        marks: stage.marks,
-        memory: resumed_memory(state, stage),
-        id: id,
-        server: self(),
-        handle: state.handle,
-        vertices: stage.vertices,
-        tally: stage.tally,
-        tail_counters: stage.tail,
-        sizes: state.settings.message_sizes
-      })
+      case Enum.map(ids, &stage_arguments(state, state.stages[&1])) do
+        [arguments] -> Stage.spawn_link(arguments)
+        arguments -> SharedProcess.spawn_link(arguments)
+      end
 
     # Only this start uses the snapshot; a later restart begins afresh, as its `on_error` specifies.
-    stages = Map.put(state.stages, id, %{stage | pid: pid, memory: nil, stopped: %{}})
-    %{state | stages: stages, pids: Map.put(state.pids, pid, id)}
+    entry = %{pid: pid, shared?: match?([_, _ | _], ids), memory: nil, stopped: %{}}
+
+    stages =
+      Enum.reduce(ids, state.stages, fn id, all -> Map.update!(all, id, &Map.merge(&1, entry)) end)
+
+    %{state | stages: stages, pids: Map.put(state.pids, pid, ids)}
+  end
+
+  defp stage_arguments(state, stage) do
+    %{
+      marks: stage.marks,
+      memory: resumed_memory(state, stage),
+      id: stage.id,
+      server: self(),
+      handle: state.handle,
+      vertices: stage.vertices,
+      tally: stage.tally,
+      tail_counters: stage.tail,
+      sizes: state.settings.message_sizes
+    }
   end
 
   defp resumed_memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
@@ -194,8 +216,7 @@ defmodule Situ.Pipeline.Stages do
       state ->
         state = update_in(state.stages[id].started, &(&1 || now))
         ports = {Map.get(into, id, []), Map.get(out_of, id, [])}
-        send(state.stages[id].pid, {:situ, {:start, build_wiring(state, id, ports, now)}})
-        state
+        send_request(state, id, {:start, build_wiring(state, id, ports, now)})
     end
   end
 
@@ -205,11 +226,13 @@ defmodule Situ.Pipeline.Stages do
 
     inlets =
       for link <- into, is_map_key(state.life.links.active, link.id) do
+        producer = producer_address(state.stages[link.from], state.stages[id])
+
         %{
           name: link.input,
           tag: link.id,
-          producer: state.stages[link.from].pid,
-          policy: link.policy,
+          producer: producer,
+          policy: if(is_pid(producer), do: link.policy, else: Delivery.unlimited()),
           counters: counters[link.id]
         }
       end
@@ -221,7 +244,8 @@ defmodule Situ.Pipeline.Stages do
       |> Enum.sort_by(& &1.id)
       |> Enum.group_by(& &1.output, fn link ->
         consumer = state.stages[link.to]
-        {link.id, consumer.pid, counters[link.id], subscriber_policy(link.policy, consumer)}
+        address = consumer_address(state.stages[id], consumer)
+        {link.id, address, counters[link.id], subscriber_policy(link.policy, consumer)}
       end)
 
     state.timing
@@ -236,6 +260,16 @@ defmodule Situ.Pipeline.Stages do
     })
   end
 
+  # Stages that share a process send each other their messages without its mailbox. A message that one of them has
+  # posted does not wait for another process, so a throttle between them has nothing to limit.
+  defp producer_address(%{pid: pid, id: from}, %{pid: pid, id: to, shared?: true}),
+    do: {:local, from, to}
+
+  defp producer_address(%{pid: pid}, _consumer), do: pid
+
+  defp consumer_address(%{pid: pid, shared?: true}, %{pid: pid, id: to}), do: {:local, to}
+  defp consumer_address(_producer, %{pid: pid}), do: pid
+
   @doc "Returns the policy for a subscriber: only a stage that is restarted can receive messages again."
   @spec subscriber_policy(Situ.Delivery.t(), State.stage()) :: Situ.Delivery.t()
   def subscriber_policy(policy, %{marks: nil}), do: %{policy | on_restart: :drop}
@@ -247,11 +281,11 @@ defmodule Situ.Pipeline.Stages do
     pid = state.stages[id].pid
 
     for {tag, link} <- links, link.from != link.to do
-      other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
-      send(other, {:situ, {:peer, tag, pid}})
+      other = if link.from == id, do: link.to, else: link.from
+      send_request(state, other, {:peer, tag, pid})
       # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
-      if link.from == id and asks?, do: send(other, {:situ, {:ask, tag}})
+      if link.from == id and asks?, do: send_request(state, other, {:ask, tag})
     end
 
     state
@@ -262,7 +296,13 @@ defmodule Situ.Pipeline.Stages do
   """
   @spec send_request(State.t(), pos_integer(), term()) :: State.t()
   def send_request(state, id, request) do
-    with %{^id => %{pid: pid}} when pid != nil <- state.stages, do: send(pid, {:situ, request})
+    case state.stages do
+      %{^id => %{pid: nil}} -> state
+      %{^id => %{shared?: true, pid: pid}} -> send(pid, {:situ, {:to, id, request}})
+      %{^id => %{pid: pid}} -> send(pid, {:situ, request})
+      _has_been_dropped -> state
+    end
+
     state
   end
 
@@ -270,18 +310,29 @@ defmodule Situ.Pipeline.Stages do
   @spec process_ended?(State.t(), pos_integer()) :: boolean()
   def process_ended?(state, id) do
     case state.stages do
-      %{^id => %{pid: pid}} -> not is_map_key(state.pids, pid)
+      %{^id => %{pid: pid}} -> id not in Map.get(state.pids, pid, [])
       _ -> false
+    end
+  end
+
+  @doc "Removes a stage from its process, which may continue with other stages."
+  @spec remove_from_process(State.t(), pos_integer()) :: State.t()
+  def remove_from_process(state, id) do
+    pid = state.stages[id].pid
+
+    case Map.get(state.pids, pid, []) -- [id] do
+      [] -> %{state | pids: Map.delete(state.pids, pid)}
+      ids -> %{state | pids: Map.put(state.pids, pid, ids)}
     end
   end
 
   @doc "Deletes everything that belongs to a stage that the life cycle has dropped."
   @spec drop_stage(State.t(), pos_integer()) :: State.t()
   def drop_stage(state, id) do
-    {stage, stages} = Map.pop(state.stages, id)
+    state = if is_map_key(state.stages, id), do: remove_from_process(state, id), else: state
+    stages = Map.delete(state.stages, id)
     tags = for {tag, link} <- state.wires.links, link.to == id or link.from == id, do: tag
-    state = Enum.reduce(tags, %{state | stages: stages}, &drop_link(&2, &1))
-    %{state | pids: Map.delete(state.pids, stage && stage.pid)}
+    Enum.reduce(tags, %{state | stages: stages}, &drop_link(&2, &1))
   end
 
   @doc "Deletes everything that belongs to a connection that the life cycle has dropped."

@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.State do
   # The state of a pipeline's server.
   #
   #   life      the life cycle, a pure state machine
-  #   stages    the stages by id; pids: the stage of each process
+  #   stages    the stages by id; pids: the stages of each process
   #   wires     links: connections between stages with their policies; counters: their counters, in shared memory
   #   dynamic   pending requests that change the running pipeline
   #   view      the data kept for inspection: Situ.Pipeline.Inspection
@@ -40,6 +40,8 @@ defmodule Situ.Pipeline.State do
   @type stage :: %{
           id: pos_integer(),
           pid: pid() | nil,
+          group: pos_integer() | nil,
+          shared?: boolean(),
           vertices: [Situ.Graph.Vertex.t(), ...],
           tally: Situ.Ports.ErrorCounters.t(),
           control: :atomics.atomics_ref(),
@@ -61,7 +63,7 @@ defmodule Situ.Pipeline.State do
           handlers: pid() | nil,
           graph: Situ.Graph.t(),
           stages: %{pos_integer() => stage()},
-          pids: %{pid() => pos_integer()},
+          pids: %{pid() => [pos_integer(), ...]},
           wires: %{links: %{term() => map()}, counters: %{term() => Situ.Ports.Counters.t()}},
           dynamic: Dynamic.t(),
           waiters: [GenServer.from()],

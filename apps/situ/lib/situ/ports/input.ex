@@ -8,7 +8,7 @@ defmodule Situ.Ports.Input do
   # the policy applies to everything that was emitted.
   alias Situ.{Delivery, Error, Message, Type}
   alias Situ.Delivery.{Batch, Queue}
-  alias Situ.Ports.{Counters, DemandWindow}
+  alias Situ.Ports.{Address, Counters, DemandWindow}
 
   @compile {:inline, ask: 2, enter: 2}
 
@@ -43,7 +43,7 @@ defmodule Situ.Ports.Input do
   @type t :: %__MODULE__{
           name: atom(),
           tag: term(),
-          producer: pid() | nil,
+          producer: Address.t() | nil,
           window: DemandWindow.t(),
           counters: Counters.t(),
           lossy: {Queue.t(), integer() | :asked | :sure} | nil,
@@ -56,7 +56,7 @@ defmodule Situ.Ports.Input do
         }
 
   @doc "Builds an input; `opts` holds its `type`, `check`, `counters` and `sizes`."
-  @spec new(atom(), term(), pid() | nil, Delivery.t(), map()) :: t()
+  @spec new(atom(), term(), Address.t() | nil, Delivery.t(), map()) :: t()
   def new(name, tag, producer, policy, opts) do
     %__MODULE__{
       name: name,
@@ -76,7 +76,7 @@ defmodule Situ.Ports.Input do
   def request_first(%__MODULE__{} = input), do: ask(input, input.window.size)
 
   defp ask(%{producer: nil}, _n), do: :ok
-  defp ask(input, n), do: send(input.producer, {:"$gen_producer", {self(), input.tag}, {:ask, n}})
+  defp ask(input, n), do: Address.send_to_producer(input.producer, input.tag, {:ask, n})
 
   @doc "Replaces the producer's process."
   @spec replace_producer(t(), pid()) :: t()

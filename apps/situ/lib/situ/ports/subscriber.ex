@@ -13,7 +13,7 @@ defmodule Situ.Ports.Subscriber do
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}
-  alias Situ.Ports.Counters
+  alias Situ.Ports.{Address, Counters}
 
   @compile {:inline, send_entry: 2, send_batches: 3, retain_batches: 2, subtract: 2, deliver: 4}
 
@@ -39,7 +39,7 @@ defmodule Situ.Ports.Subscriber do
   """
   @type t :: %__MODULE__{
           tag: term(),
-          pid: pid(),
+          pid: Address.t(),
           counters: Counters.t() | nil,
           monitor: reference() | nil,
           queue: Queue.t() | nil,
@@ -53,7 +53,7 @@ defmodule Situ.Ports.Subscriber do
         }
 
   @doc "Builds a subscriber without demand."
-  @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
+  @spec new(term(), Address.t(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
     if counters, do: Counters.put_held_count(counters, 0)
     lossy? = policy != nil and Delivery.lossy?(policy)
@@ -133,7 +133,7 @@ defmodule Situ.Ports.Subscriber do
   @doc "Sends the end of the subscription."
   @spec send_cancel(t(), term()) :: term()
   def send_cancel(sub, reason),
-    do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
+    do: Address.send_to_consumer(sub.pid, sub.tag, {:cancel, reason})
 
   @doc """
   Delivers batches of `n` messages at clock time `now` within the demand; the rest waits. `latency` is the originating
@@ -290,7 +290,7 @@ defmodule Situ.Ports.Subscriber do
   defp retain_batches(%{unacked: {handled, queue}} = sub, batches),
     do: %{sub | unacked: {handled, Enum.reduce(batches, queue, &:queue.in/2)}}
 
-  defp send_entry(sub, entry), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, entry})
+  defp send_entry(sub, entry), do: Address.send_to_consumer(sub.pid, sub.tag, entry)
 
   # Nobody waits for a lossy edge: its flag is how much is held back.
   defp note_waiting(%{queue: queue} = sub, _flag) when queue != nil do

@@ -94,7 +94,7 @@ defmodule Situ.Stage.ActionRunner do
 
   # The component may be handling a message of this input, so the connection is removed in the next time slice.
   defp apply_action(step, {:detach, input, opts}) when is_atom(input) and is_list(opts) do
-    send(self(), {:situ, {:leave, input}})
+    Step.send_to_stage(step.host, {:situ, {:leave, input}})
     {:ok, Step.put_options(step, opts)}
   end
 

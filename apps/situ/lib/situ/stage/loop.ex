@@ -230,11 +230,11 @@ defmodule Situ.Stage.Loop do
 
   defp schedule_slice(state), do: state |> settle() |> schedule()
 
-  # Asks for another time slice after the current mailbox.
+  # Asks for another time slice after the current mailbox, or after the other stages of the process.
   defp schedule(%{scheduled: true} = state), do: state
 
   defp schedule(state) do
-    send(self(), :situ_turn)
+    Step.send_to_stage(state.host, :situ_turn)
     %{state | scheduled: true}
   end
 

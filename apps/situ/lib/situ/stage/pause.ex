@@ -8,11 +8,15 @@ defmodule Situ.Stage.Pause do
   # The process that froze it may have died, so the freeze has a limit.
   @longest_ms 60_000
 
+  @doc "Returns the time (ms) after which a stage resumes by itself."
+  @spec longest_ms() :: pos_integer()
+  def longest_ms, do: @longest_ms
+
   # These start and end nothing. The component's replies to them wait until the stage resumes.
-  defguardp change(request)
-            when request == :describe or
-                   (is_tuple(request) and
-                      elem(request, 0) in [:tap, :untap, :replace, :guarantee, :lend])
+  defguard change(request)
+           when request == :describe or
+                  (is_tuple(request) and
+                     elem(request, 0) in [:tap, :untap, :replace, :guarantee, :lend])
 
   @doc """
   Returns when `{:thaw, ref}` arrives. `change` performs a request and returns the state and the component's actions.

@@ -87,10 +87,9 @@ defmodule Situ.Stage.RequestHandler do
 
   # For a checkpoint, this stage pauses until it is resumed, or only reports its state.
   def handle_request({:freeze, ref}, state) do
-    state = state |> release_withheld() |> Loop.run_waiting()
-    report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
+    state = prepare_pause(state, ref)
     {state, actions} = Pause.wait_for_thaw(state, ref, &change/2)
-    {:noreply, state |> apply_actions(actions) |> Loop.run_slice()}
+    {:noreply, resume_after_pause(state, actions)}
   end
 
   def handle_request({:thaw, _ref}, state), do: {:noreply, state}
@@ -233,10 +232,23 @@ defmodule Situ.Stage.RequestHandler do
     {:noreply, state}
   end
 
+  @doc "Sends everything that waits in the stage and reports its state for the checkpoint `ref`."
+  @spec prepare_pause(State.t(), reference()) :: State.t()
+  def prepare_pause(state, ref) do
+    state = state |> release_withheld() |> Loop.run_waiting()
+    report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
+    state
+  end
+
+  @doc "Applies the actions of the changes during a pause, and continues."
+  @spec resume_after_pause(State.t(), [Situ.Component.action()]) :: State.t()
+  def resume_after_pause(state, actions), do: state |> apply_actions(actions) |> Loop.run_slice()
+
   defp report(%{steps: steps}, event), do: Step.report_event(elem(steps, 0), event)
 
-  # Performs a request; the component's actions are still to be applied.
-  defp change({:replace, ref, index, module, opts}, state) do
+  @doc "Performs a request; the component's actions that it returns are still to be applied."
+  @spec change(term(), State.t()) :: {State.t(), [Situ.Component.action()]}
+  def change({:replace, ref, index, module, opts}, state) do
     {i, step} = State.step_at(state, index)
 
     case Replacement.replace(step, index, module, opts) do
@@ -250,7 +262,7 @@ defmodule Situ.Stage.RequestHandler do
     end
   end
 
-  defp change(request, state) do
+  def change(request, state) do
     {:noreply, state} = handle_request(request, state)
     {state, []}
   end

@@ -15,6 +15,7 @@ defmodule Situ.Stage.State do
     links: %{},
     early: [],
     scheduled: false,
+    ready: false,
     quitting: false,
     large_heap: false
   ]
@@ -22,7 +23,7 @@ defmodule Situ.Stage.State do
   @typedoc """
   `links` maps the tag of each connection between two steps to the position of the second one. `early` holds plain
   messages that arrived before the stage was running, newest first. With `scheduled`, a message to itself asks for
-  another time slice. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
+  another time slice; with `ready`, a shared process is going to run one. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
   starts with (see Checkpoint).
   """
   @type t :: %__MODULE__{
@@ -32,6 +33,7 @@ defmodule Situ.Stage.State do
           links: %{term() => non_neg_integer()},
           early: [term()],
           scheduled: boolean(),
+          ready: boolean(),
           quitting: boolean(),
           large_heap: boolean()
         }
@@ -42,6 +44,7 @@ defmodule Situ.Stage.State do
       owner: {args.server, args.id},
       errors: args.tally,
       restarts?: args[:marks] != nil,
+      shared?: args[:shared?] == true,
       clock: nil,
       control: nil
     }

@@ -8,7 +8,7 @@ defmodule Situ.Stage.Step do
   alias Situ.Component.{Callback, Context}
   alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-  alias Situ.Ports.{ErrorCounters, Inputs, Outputs}
+  alias Situ.Ports.{Address, ErrorCounters, Inputs, Outputs}
   alias Situ.Stage.{SourceState, Work}
 
   @never 9_000_000_000_000_000_000
@@ -30,13 +30,15 @@ defmodule Situ.Stage.Step do
 
   @typedoc """
   `owner` is the pipeline's server and the stage's id there. `control` holds shared cells: the time up to which messages
-  count, and whether the stage is patient. With `restarts?`, another process replaces this one when it dies. Clock and
+  count, and whether the stage is patient. With `restarts?`, another process replaces this one when it dies. With `shared?`, other stages run in
+  its process. Clock and
   control are known when the stage is wired.
   """
   @type host :: %{
           owner: {server :: pid(), id :: pos_integer()},
           errors: ErrorCounters.t(),
           restarts?: boolean(),
+          shared?: boolean(),
           clock: Clock.t() | nil,
           control: :atomics.atomics_ref() | nil
         }
@@ -149,6 +151,13 @@ defmodule Situ.Stage.Step do
   @spec report_event(t(), term()) :: term()
   def report_event(%__MODULE__{host: %{owner: {server, id}}}, event),
     do: send(server, {:situ_stage, id, event})
+
+  @doc "Sends a message to this stage itself, to be handled later."
+  @spec send_to_stage(host(), term()) :: term()
+  def send_to_stage(%{shared?: true, owner: {_server, id}}, message),
+    do: Address.push_local(id, message)
+
+  def send_to_stage(_host, message), do: send(self(), message)
 
   @doc "Updates the outputs."
   @spec map_outputs(t(), (Situ.Ports.Output.t() -> Situ.Ports.Output.t())) :: t()

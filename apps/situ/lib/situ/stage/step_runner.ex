@@ -11,6 +11,8 @@ defmodule Situ.Stage.StepRunner do
   @compile {:inline,
             takes_batches?: 2, handle_message: 3, end_linger: 1, report_closings: 1, release: 1}
 
+  @chain_ns 1_000_000
+
   @typedoc "The step has nothing to do, may have more, or lets the stage look into its mailbox first."
   @type outcome :: :idle | :more | :yield
   @typep limits ::
@@ -58,11 +60,18 @@ defmodule Situ.Stage.StepRunner do
   defp takes_batches?(%Chain{}, _input), do: true
   defp takes_batches?(%Callback{batch: batch?}, input), do: batch? and input.check == :off
 
-  # A chain or a component with `handle_messages/4` takes as many messages as there is room for.
-  defp take_batch(step, input, {room, started, deadline}) do
-    case Input.take_batch(input, min(room, step.work.slice)) do
-      {nil, input} -> {:more, take_closing(step, input)}
-      {batch, input} -> BatchRunner.run_batch(step, input, batch, {started, deadline})
+  # A chain takes as many messages as there is room for, since it looks at the time itself. A component with
+  # `handle_messages/4` takes as many as it handles in about a millisecond.
+  defp take_batch(%{worker: worker} = step, input, {room, started, deadline}) do
+    chain? = is_struct(worker, Chain)
+
+    case Input.take_batch(input, if(chain?, do: room, else: min(room, step.work.slice))) do
+      {nil, input} ->
+        {:more, take_closing(step, input)}
+
+      {batch, input} ->
+        deadline = if chain?, do: min(deadline, started + @chain_ns), else: deadline
+        BatchRunner.run_batch(step, input, batch, {started, deadline})
     end
   end
 

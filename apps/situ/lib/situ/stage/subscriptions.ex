@@ -5,7 +5,7 @@ defmodule Situ.Stage.Subscriptions do
   alias Situ.Error
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Ports.{Counters, Input, Inputs, Output, Outputs, Subscriber}
+  alias Situ.Ports.{Address, Counters, Input, Inputs, Output, Outputs, Subscriber}
   alias Situ.Stage.{CallbackRunner, State, Step}
 
   @most_waiting 1_000
@@ -279,7 +279,7 @@ defmodule Situ.Stage.Subscriptions do
         step
 
       input ->
-        send(input.producer, {:"$gen_producer", {self(), input.tag}, {:cancel, :normal}})
+        Address.send_to_producer(input.producer, input.tag, {:cancel, :normal})
         Input.set_hold(input, false)
         %{step | inputs: Inputs.delete(step.inputs, input.tag)}
     end

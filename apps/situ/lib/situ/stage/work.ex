@@ -48,7 +48,7 @@ defmodule Situ.Stage.Work do
       cond do
         n < taken -> max(div(n, 5), 1)
         elapsed > @slow_ns and slice > 1 -> div(slice, 2)
-        elapsed < @quick_ns and n == slice and slice < @most -> slice * 2
+        elapsed < @quick_ns and n >= slice and slice < @most -> slice * 2
         true -> slice
       end
 

@@ -3,7 +3,7 @@ defmodule Situ.Test.Idle do
   # Waits, without sleeping, until a pipeline with a manual clock is idle.
   alias Situ.Clock
   alias Situ.Parallel
-  alias Situ.Stage.State
+  alias Situ.Stage.{SharedProcess, State}
 
   @spec await_idle(pid(), Clock.t()) :: :ok
   def await_idle(pipeline, clock), do: poll_until_idle(pipeline, clock, nil)
@@ -42,6 +42,9 @@ defmodule Situ.Test.Idle do
 
   defp probe_steps(%State{} = state, now),
     do: state |> State.list_steps() |> Enum.flat_map(&probe_step(&1, now))
+
+  defp probe_steps(%SharedProcess{members: members}, now),
+    do: Enum.flat_map(members, fn {_id, state} -> probe_steps(state, now) end)
 
   defp probe_steps(_server, _now), do: []
 

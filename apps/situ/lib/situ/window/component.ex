@@ -2,6 +2,7 @@ defmodule Situ.Window.Component do
   @moduledoc false
   # The component of windows that look ahead (by index or time) and of windows from a stream.
   use Situ.Component,
+    share_process: true,
     inputs: [],
     outputs: [out: :any],
     options: [core: [type: :any, required: true, doc: "`{module, function, arguments}`"]]

@@ -6,7 +6,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   alias Situ.Component.FunctionSwap
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.State
+  alias Situ.Pipeline.{Stages, State}
 
   @doc "Asks the stage or queues the request; the caller receives its reply when the replacement succeeds or fails."
   @spec request_replacement(State.t(), map(), GenServer.from()) :: State.t()
@@ -83,7 +83,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     with {:ok, stage, index} <- State.fetch_stage(state, vertex.id),
          {:ok, module, opts} <- resolve_target(vertex, request.change),
          :ok <- check_ports(state.graph, vertex, module) do
-      send(stage.pid, {:situ, {:replace, request.ref, index, module, opts}})
+      Stages.send_request(state, stage.id, {:replace, request.ref, index, module, opts})
       opts = with {:keep, step} <- opts, do: step
 
       put_entry(

@@ -81,8 +81,11 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   def fetch_subscription(state, which) do
     with {:ok, {id, output}} <- State.fetch_port(state, which),
          {:ok, stage} <- State.fetch_output_stage(state, id),
-         do: {:ok, {stage.pid, [output: output]}}
+         do: {:ok, {stage.pid, subscription_options(stage, output)}}
   end
+
+  defp subscription_options(%{shared?: true, id: id}, output), do: [output: output, stage: id]
+  defp subscription_options(_stage, output), do: [output: output]
 
   defp add_tap(
          state,

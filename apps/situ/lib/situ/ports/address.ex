@@ -1,0 +1,43 @@
+defmodule Situ.Ports.Address do
+  @moduledoc false
+  # Where a neighbour of a stage receives messages: its process, or another stage of the same process (see
+  # Situ.Stage.SharedProcess). The messages between stages of one process wait in its dictionary, so that they are not
+  # copied. Both kinds have the form of GenStage's messages.
+
+  @compile {:inline, send_to_consumer: 3, send_to_producer: 3}
+
+  @key :situ_local_messages
+
+  @typedoc "A process, the consumer in the same process, or the producer in the same process and its consumer."
+  @type t :: pid() | {:local, consumer :: pos_integer()} | {:local, pos_integer(), pos_integer()}
+
+  @doc "Sends batches, or the end of the subscription `tag`, to a consumer."
+  @spec send_to_consumer(t(), term(), term()) :: term()
+  def send_to_consumer(pid, tag, entry) when is_pid(pid),
+    do: send(pid, {:"$gen_consumer", {self(), tag}, entry})
+
+  def send_to_consumer({:local, id}, tag, entry),
+    do: push_local(id, {:"$gen_consumer", {self(), tag}, entry})
+
+  @doc "Sends demand, or the end of the subscription `tag`, to a producer."
+  @spec send_to_producer(t(), term(), term()) :: term()
+  def send_to_producer(pid, tag, request) when is_pid(pid),
+    do: send(pid, {:"$gen_producer", {self(), tag}, request})
+
+  def send_to_producer({:local, id, consumer}, tag, request),
+    do: push_local(id, {:"$gen_producer", {{:local, consumer}, tag}, request})
+
+  @doc "Adds a message for a stage of the calling process."
+  @spec push_local(pos_integer(), term()) :: term()
+  def push_local(id, message),
+    do: Process.put(@key, [{id, message} | Process.get(@key, [])])
+
+  @doc "Takes the messages for stages of the calling process, with the stages' ids, oldest first."
+  @spec take_local() :: [{pos_integer(), term()}]
+  def take_local do
+    case Process.put(@key, []) do
+      nil -> []
+      messages -> :lists.reverse(messages)
+    end
+  end
+end
