@@ -20,7 +20,7 @@ defmodule Situ.Stage do
   alias Situ.Clock
   alias Situ.Component.Callback
   alias Situ.Ports.Outputs
-  alias Situ.Stage.{Loop, RequestHandler, State, Step, Subscriptions}
+  alias Situ.Stage.{Loop, Relocation, RequestHandler, State, Step, Subscriptions}
 
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
@@ -42,6 +42,31 @@ defmodule Situ.Stage do
         fullsweep_after: 30,
         min_heap_size: 4_181
       ])
+
+  @doc "Starts the process of a stage that leaves the process `shared`, with its state (see Relocation)."
+  @spec spawn_relocated(State.t(), pid()) :: pid()
+  def spawn_relocated(state, shared),
+    do:
+      :proc_lib.spawn_opt(__MODULE__, :continue_it, [state, shared, self()], [
+        :link,
+        fullsweep_after: 30,
+        min_heap_size: 4_181
+      ])
+
+  @doc false
+  def continue_it(state, shared, server) do
+    Process.flag(:trap_exit, true)
+    Process.put(:situ_pipeline, server)
+
+    case Relocation.take_over(state, shared, &handle_info/2) do
+      {:ok, state} ->
+        send(self(), :situ_turn)
+        :gen_server.enter_loop(__MODULE__, [], state)
+
+      :ended ->
+        exit(:normal)
+    end
+  end
 
   @doc false
   def init_it(args) do
@@ -142,6 +167,11 @@ defmodule Situ.Stage do
       _ ->
         {:noreply, state}
     end
+  end
+
+  # Without the process that forwards its messages, the stage could only wait.
+  def handle_info({:DOWN, ref, :process, _pid, reason}, %{relay: ref} = state) do
+    if reason == :normal, do: {:noreply, state}, else: {:stop, {:shutdown, reason}, state}
   end
 
   def handle_info({:DOWN, ref, :process, _pid, _} = message, state) do

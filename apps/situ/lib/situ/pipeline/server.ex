@@ -370,6 +370,9 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
+  defp handle_stage_message({:relocating, stage}, id, state),
+    do: {:noreply, Stages.relocate_stage(state, id, stage)}
+
   defp handle_stage_message(:ended, id, state),
     do: state |> LifecycleRunner.handle_stage_end(id) |> Termination.stop_if_finished()
 

@@ -200,6 +200,21 @@ defmodule Situ.Pipeline.Stages do
 
   defp resumed_memory(_state, stage), do: stage.memory
 
+  @doc "Gives a stage that leaves a shared process its own process (see Situ.Stage.Relocation)."
+  @spec relocate_stage(State.t(), pos_integer(), Stage.State.t()) :: State.t()
+  def relocate_stage(state, id, stage) do
+    %{pid: shared} = entry = state.stages[id]
+    pid = Stage.spawn_relocated(stage, shared)
+    state = remove_from_process(state, id)
+    send(shared, {:situ, {:relocated, id, pid}})
+
+    %{
+      state
+      | stages: Map.put(state.stages, id, %{entry | pid: pid, shared?: false}),
+        pids: Map.put(state.pids, pid, [id])
+    }
+  end
+
   @doc "Sends the stages their clock and neighbours, and starts them."
   @spec start_stages(State.t(), [pos_integer()]) :: State.t()
   def start_stages(state, ids) do

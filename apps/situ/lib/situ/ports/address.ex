@@ -8,8 +8,15 @@ defmodule Situ.Ports.Address do
 
   @key :situ_local_messages
 
-  @typedoc "A process, the consumer in the same process, or the producer in the same process and its consumer."
-  @type t :: pid() | {:local, consumer :: pos_integer()} | {:local, pos_integer(), pos_integer()}
+  @typedoc """
+  A process, a consumer in the same process, a producer in the same process with its consumer, or the process that
+  forwards what a stage sends to its producer (see Situ.Stage.Relocation).
+  """
+  @type t ::
+          pid()
+          | {:local, consumer :: pos_integer()}
+          | {:local, producer :: pos_integer(), consumer :: pos_integer()}
+          | {:relay, pid()}
 
   @doc "Sends batches, or the end of the subscription `tag`, to a consumer."
   @spec send_to_consumer(t(), term(), term()) :: term()
@@ -26,6 +33,20 @@ defmodule Situ.Ports.Address do
 
   def send_to_producer({:local, id, consumer}, tag, request),
     do: push_local(id, {:"$gen_producer", {{:local, consumer}, tag}, request})
+
+  def send_to_producer({:relay, pid}, tag, request), do: send(pid, {:situ_relay, tag, request})
+
+  @doc "Asks a producer for all the messages that it holds for a consumer with a lossy policy."
+  @spec request_refresh(pid() | {:relay, pid()}, term()) :: term()
+  def request_refresh(pid, tag) when is_pid(pid),
+    do: send(pid, {:situ, {:refresh, {self(), tag}}})
+
+  def request_refresh({:relay, pid}, tag), do: send(pid, {:situ_relay, tag, :refresh})
+
+  @doc "Forwards a request of a stage that has left this process to the producer `pid`."
+  @spec relay_request(pid(), term(), term()) :: term()
+  def relay_request(pid, tag, :refresh), do: request_refresh(pid, tag)
+  def relay_request(pid, tag, request), do: send_to_producer(pid, tag, request)
 
   @doc "Adds a message for a stage of the calling process."
   @spec push_local(pos_integer(), term()) :: term()

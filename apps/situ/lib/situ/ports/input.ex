@@ -173,7 +173,7 @@ defmodule Situ.Ports.Input do
       {:ok, %{input | lossy: {queue, now}}}
     else
       Counters.request_held(input.counters)
-      send(input.producer, {:situ, {:refresh, {self(), input.tag}}})
+      Address.request_refresh(input.producer, input.tag)
       {:wait, %{input | lossy: {queue, :asked}}}
     end
   end

@@ -69,8 +69,8 @@ defmodule Situ.Ports.Subscriber do
   end
 
   @doc "Builds a subscriber for another step of the calling stage."
-  @spec new_local(term(), Counters.t()) :: t()
-  def new_local(tag, counters), do: %{new(tag, self(), counters) | demand: :local}
+  @spec new_local(term(), Address.t(), Counters.t()) :: t()
+  def new_local(tag, address, counters), do: %{new(tag, address, counters) | demand: :local}
 
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()

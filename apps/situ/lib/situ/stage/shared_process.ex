@@ -9,32 +9,42 @@ defmodule Situ.Stage.SharedProcess do
   alias Situ.Clock.Timers
   alias Situ.Ports.{Address, Input, Outputs}
   alias Situ.Stage
-  alias Situ.Stage.{Loop, Pause, RequestHandler, State, Step, Subscriptions}
+  alias Situ.Stage.{Load, Loop, Pause, Relocation, RequestHandler, State, Step, Subscriptions}
 
   @slice_ns 5_000_000
+  # The load is checked after so many time slices that did not finish.
+  @check_every 8
 
   defstruct members: %{},
             consumers: %{},
             producers: %{},
             paused: %{},
+            leaving: %{},
+            relays: %{},
             ready: [],
             waiting: [],
-            scheduled: false
+            scheduled: false,
+            saturated: 0
 
   @typedoc """
   `members` holds the stages by id; `consumers` and `producers` the stage of each connection to another process, as far
   as it was looked up. `paused` holds the stages that are paused for a checkpoint: the checkpoint's reference, whether
   a time slice was scheduled, the messages that arrived since, newest first, and the actions of changes. `ready` holds the
-  stages to run, newest first. `waiting` holds messages that were taken from the local queue but not handled when the last time slice ended.
+  stages to run, newest first. `leaving` holds the stages that leave or have left (see Relocation): the messages that are
+  kept for them, newest first, or their process; `relays` the addresses that their messages need. `waiting` holds messages that were taken from the local queue but not handled when the last time slice ended.
+  `saturated` counts the time slices in a row after which some did.
   """
   @type t :: %__MODULE__{
           members: %{pos_integer() => State.t()},
           consumers: %{term() => pos_integer()},
           producers: %{term() => pos_integer()},
           paused: %{pos_integer() => {reference(), boolean(), [term()], [term()]}},
+          leaving: %{pos_integer() => {:kept, [term()]} | {:moved, pid()}},
+          relays: %{({:producer, term()} | {:consumer, term()}) => pid()},
           ready: [pos_integer()],
           waiting: [{pos_integer(), term()}],
-          scheduled: boolean()
+          scheduled: boolean(),
+          saturated: non_neg_integer()
         }
 
   @doc "Starts the process with the arguments of each stage; every stage reports to the server by itself."
@@ -64,6 +74,16 @@ defmodule Situ.Stage.SharedProcess do
   @impl true
   def handle_info({:situ, {:to, id, request}}, process),
     do: run_stage(process, id, {:situ, request})
+
+  def handle_info({:situ_relay, tag, request}, %{relays: relays} = process) do
+    with %{{:producer, ^tag} => producer} <- relays,
+         do: Address.relay_request(producer, tag, request)
+
+    {:noreply, process}
+  end
+
+  def handle_info({:situ, {:relocated, id, pid}}, process),
+    do: process |> finish_relocation(id, pid) |> end_slice()
 
   def handle_info({:situ, {:refresh, {_pid, tag}}} = message, process),
     do: run_producer(process, tag, message)
@@ -100,7 +120,9 @@ defmodule Situ.Stage.SharedProcess do
   def handle_info(:situ_turn, %{waiting: waiting} = process),
     do: run_messages(%{process | scheduled: false, waiting: []}, waiting)
 
-  def handle_info({:DOWN, ref, :process, _pid, _reason} = message, process) do
+  def handle_info({:DOWN, ref, :process, pid, _reason} = message, process) do
+    left = for {id, {:moved, ^pid}} <- process.leaving, do: id
+    process = %{process | leaving: Map.drop(process.leaving, left)}
     watches? = fn state -> Enum.any?(State.list_subscribers(state), &(&1.monitor == ref)) end
     run_stages(process, for({id, state} <- process.members, watches?.(state), do: id), message)
   end
@@ -173,7 +195,10 @@ defmodule Situ.Stage.SharedProcess do
     end
   end
 
-  # Any stage refuses a message about an unknown connection.
+  # Any stage refuses a message about an unknown connection; stages that have left do not know of it either.
+  defp run_found(%{members: members} = process, nil, _remember, _message) when members == %{},
+    do: {:noreply, process}
+
   defp run_found(%{members: members} = process, nil, _remember, message) do
     {id, _state} = Enum.min(members)
     run_stage(process, id, message)
@@ -196,13 +221,104 @@ defmodule Situ.Stage.SharedProcess do
     messages |> run_rounds(process, deadline) |> end_slice()
   end
 
-  defp end_slice(%{members: members} = process) when members == %{}, do: {:stop, :normal, process}
+  defp end_slice(%{members: members, leaving: leaving} = process)
+       when members == %{} and leaving == %{},
+       do: {:stop, :normal, process}
 
-  defp end_slice(%{waiting: waiting, scheduled: scheduled?} = process)
-       when waiting == [] or scheduled?,
-       do: {:noreply, process}
+  defp end_slice(%{scheduled: true} = process), do: {:noreply, process}
+  defp end_slice(%{waiting: []} = process), do: {:noreply, %{process | saturated: 0}}
 
-  defp end_slice(process), do: {:noreply, schedule_slice(process)}
+  defp end_slice(process), do: {:noreply, process |> check_load() |> schedule_slice()}
+
+  # While the process has more to do than time, the stage with the largest share leaves it, if it is worth its own
+  # process.
+  defp check_load(%{saturated: n} = process) when n < @check_every,
+    do: %{process | saturated: n + 1}
+
+  defp check_load(%{members: members} = process) when map_size(members) > 1 do
+    {id, state} = Enum.max_by(members, fn {_id, state} -> state.load.busy end)
+    heavy? = Load.heavy?(state)
+    members = Map.new(members, fn {id, state} -> {id, Load.start_check(state)} end)
+    process = %{process | members: members, saturated: 0}
+    if heavy?, do: relocate(process, id, members[id]), else: process
+  end
+
+  defp check_load(process), do: %{process | saturated: 0}
+
+  # The last stage has nobody to delay.
+  defp relocate(%{members: members} = process, id, state) do
+    if map_size(members) > 1 and not is_map_key(process.paused, id) and Relocation.movable?(state) do
+      {moving, relays} = Relocation.prepare_state(state, self())
+      Step.report_event(elem(state.steps, 0), {:relocating, moving})
+      inputs = for step <- State.list_steps(state), {tag, _} <- step.inputs.by_tag, do: {tag, id}
+      outputs = for sub <- State.list_subscribers(state), do: {sub.tag, id}
+
+      %{
+        process
+        | members: Map.delete(members, id),
+          leaving: Map.put(process.leaving, id, {:kept, []}),
+          consumers: Enum.into(inputs, process.consumers),
+          producers: Enum.into(outputs, process.producers),
+          relays: Map.merge(process.relays, relays)
+      }
+    else
+      put_member(process, id, state)
+    end
+  end
+
+  # Messages that still wait for the stage come before those that its neighbors will send to the new process.
+  defp finish_relocation(%{waiting: waiting} = process, id, pid) do
+    {own, waiting} = Enum.split_with(waiting, &match?({^id, _message}, &1))
+    %{leaving: leaving} = process = handle_messages(own, %{process | waiting: waiting})
+    {:kept, kept} = Map.fetch!(leaving, id)
+    for message <- Enum.reverse(kept), do: send(pid, {:situ_forwarded, message})
+    send(pid, :situ_forwarding_ended)
+    Process.monitor(pid)
+
+    members =
+      Map.new(process.members, fn {other, state} ->
+        {other, Relocation.readdress_neighbor(state, id, pid)}
+      end)
+
+    %{process | members: members, leaving: Map.put(leaving, id, {:moved, pid})}
+  end
+
+  # Forwards a message to a stage that has left. Connections that are made meanwhile are known by the requests for them.
+  defp forward(%{leaving: leaving} = process, id, message) when is_map_key(leaving, id) do
+    case message do
+      :situ_turn ->
+        process
+
+      {:situ, {:lend, tag, _output, _pid, _counters, _policy}} ->
+        forward_message(put_in(process.producers[tag], id), id, message)
+
+      {:situ, {:tap, %{tag: tag}}} ->
+        forward_message(put_in(process.producers[tag], id), id, message)
+
+      {:situ, {:attach, _request, _last, %{tag: tag}}} ->
+        forward_message(put_in(process.consumers[tag], id), id, message)
+
+      {:"$gen_producer", {_address, tag} = from, request} ->
+        from = if is_map_key(process.relays, {:consumer, tag}), do: {self(), tag}, else: from
+        forward_message(process, id, {:"$gen_producer", from, request})
+
+      message ->
+        forward_message(process, id, message)
+    end
+  end
+
+  defp forward(process, _has_ended, _message), do: process
+
+  defp forward_message(%{leaving: leaving} = process, id, message) do
+    case leaving do
+      %{^id => {:kept, kept}} ->
+        %{process | leaving: %{leaving | id => {:kept, [message | kept]}}}
+
+      %{^id => {:moved, pid}} ->
+        send(pid, message)
+        process
+    end
+  end
 
   defp schedule_slice(process) do
     send(self(), :situ_turn)
@@ -235,31 +351,38 @@ defmodule Situ.Stage.SharedProcess do
         {deferred, process} = handle_paused(message, id, state, process)
         handle_messages(deferred ++ rest, process)
 
-      _has_ended ->
-        handle_messages(rest, process)
+      _has_left_or_ended ->
+        handle_messages(rest, forward(process, id, message))
     end
   end
 
   defp run_ready(%{ready: []} = process), do: process
 
-  defp run_ready(%{ready: ready} = process),
-    do: run_ready(:lists.reverse(ready), %{process | ready: []})
+  defp run_ready(%{ready: ready} = process) do
+    now = :erlang.monotonic_time(:nanosecond)
+    ready |> :lists.reverse() |> run_ready(%{process | ready: []}, now)
+  end
 
-  defp run_ready([], process), do: process
+  defp run_ready([], process, _now), do: process
 
-  defp run_ready([id | rest], %{members: members} = process) do
+  defp run_ready([id | rest], %{members: members} = process, started) do
     case members do
       %{^id => state} ->
         state = Loop.run_slice(%{state | ready: false})
-        over? = state.quitting and State.drained?(state)
-
-        process =
-          if over?, do: remove_member(process, id, state), else: put_member(process, id, state)
-
-        run_ready(rest, process)
+        now = :erlang.monotonic_time(:nanosecond)
+        state = %{state | load: Load.add_run(state.load, now - started, state)}
+        run_ready(rest, put_result(process, id, state), now)
 
       _has_ended ->
-        run_ready(rest, process)
+        run_ready(rest, process, started)
+    end
+  end
+
+  defp put_result(process, id, state) do
+    cond do
+      state.quitting and State.drained?(state) -> remove_member(process, id, state)
+      Load.blocking?(state.load) -> relocate(process, id, state)
+      true -> put_member(process, id, state)
     end
   end
 
@@ -296,6 +419,7 @@ defmodule Situ.Stage.SharedProcess do
     %{process | paused: Map.put(process.paused, id, {ref, state.scheduled, [], []})}
   end
 
+  defp handle_message({:situ, :relocate}, id, state, process), do: relocate(process, id, state)
   defp handle_message(message, id, state, process), do: call_stage(message, id, state, process)
 
   defp call_stage(message, id, state, process) do

@@ -5,17 +5,19 @@ defmodule Situ.Stage.State do
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Input, Output, Outputs, Subscriber}
-  alias Situ.Stage.{ErrorPolicy, Step}
+  alias Situ.Stage.{ErrorPolicy, Load, Step}
 
   @enforce_keys [:host, :steps]
   defstruct [
     :host,
     :steps,
     :memory,
+    :relay,
     links: %{},
     early: [],
     scheduled: false,
     ready: false,
+    load: %Load{},
     quitting: false,
     large_heap: false
   ]
@@ -23,17 +25,20 @@ defmodule Situ.Stage.State do
   @typedoc """
   `links` maps the tag of each connection between two steps to the position of the second one. `early` holds plain
   messages that arrived before the stage was running, newest first. With `scheduled`, a message to itself asks for
-  another time slice; with `ready`, a shared process is going to run one. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
-  starts with (see Checkpoint).
+  another time slice. `ready` and `load` are for a shared process: whether it is going to run a time slice of the stage,
+  and how much the stage has to do. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
+  starts with (see Checkpoint). `relay` is the monitor of the shared process that forwards messages to it (see Relocation).
   """
   @type t :: %__MODULE__{
           host: Step.host(),
           steps: tuple(),
           memory: map() | nil,
+          relay: reference() | nil,
           links: %{term() => non_neg_integer()},
           early: [term()],
           scheduled: boolean(),
           ready: boolean(),
+          load: Load.t(),
           quitting: boolean(),
           large_heap: boolean()
         }
@@ -64,8 +69,9 @@ defmodule Situ.Stage.State do
   defp connect_steps(%{steps: {first, second}} = state, args) do
     policy = Delivery.unlimited(window: :infinity)
     opts = %{type: :any, check: :off, counters: args.tail_counters, sizes: args.sizes}
-    tag = {:step, 1}
-    sub = Subscriber.new_local(tag, args.tail_counters)
+    tag = {:step, args.id}
+    address = if state.host.shared?, do: {:local, args.id}, else: self()
+    sub = Subscriber.new_local(tag, address, args.tail_counters)
     first = Step.map_outputs(first, &Output.subscribe(&1, sub))
     second = Step.put_input(second, Input.new(:in, tag, nil, policy, opts))
     %{state | steps: {first, second}, links: %{tag => 1}}
