@@ -31,14 +31,25 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
         |> Map.values()
         |> Enum.sort_by(& &1.id)
         |> Enum.map(&describe_edge(&1, view, positions)),
-      processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&describe_process/1)
+      processes: view.stages |> group_stages() |> Enum.map(&describe_process/1)
     }
   end
 
+  # Stages that share a process have the number of the first of them.
   defp index_vertices(stages) do
-    for stage <- stages, {vertex, index} <- Enum.with_index(stage.vertices), into: %{} do
-      {vertex.id, {stage, index}}
-    end
+    for [%{id: number} | _] = together <- group_stages(stages),
+        stage <- together,
+        {vertex, index} <- Enum.with_index(stage.vertices),
+        into: %{},
+        do: {vertex.id, {Map.put(stage, :number, number), index}}
+  end
+
+  defp group_stages(stages) do
+    stages
+    |> Enum.sort_by(& &1.id)
+    |> Enum.group_by(&(&1.pid || &1.id))
+    |> Map.values()
+    |> Enum.sort_by(&hd(&1).id)
   end
 
   defp describe_node(%Vertex{} = vertex, view, positions) do
@@ -53,7 +64,7 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
         module: if(vertex.module == :operator, do: "Operator", else: inspect(vertex.module)),
         kind: node_kind(vertex, view),
         state: node_state(stage),
-        process: stage && stage.id,
+        process: stage && stage.number,
         description: stage && Map.get(view.descriptions, stage.id),
         inputs: Enum.map(vertex.inputs, &describe_port(&1, nil)),
         outputs:
@@ -140,8 +151,8 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
     end
   end
 
-  defp describe_process(stage) do
-    paths = Enum.map(stage.vertices, & &1.path)
+  defp describe_process([stage | _] = together) do
+    paths = for stage <- together, vertex <- stage.vertices, do: vertex.path
     keys = [:memory, :message_queue_len, :reductions, :status, :current_function]
 
     case stage.pid && Elixir.Process.info(stage.pid, keys) do

@@ -46,7 +46,7 @@ defmodule Situ.Graph.Vertex do
   def source?(%__MODULE__{inputs: []}), do: true
   def source?(%__MODULE__{module: module}), do: function_exported?(module, :handle_demand, 3)
 
-  @doc "Returns whether light operators after the component run in its process; see `c:Situ.Component.share_process?/0`."
+  @doc "Returns whether the component may share its process; see `c:Situ.Component.share_process?/0`."
   @spec shares_process?(t()) :: boolean()
   def shares_process?(%__MODULE__{module: module}),
     do: function_exported?(module, :share_process?, 0) and module.share_process?()

@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Stages, State}
+  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, StageProcesses, Stages, State}
   alias Situ.Pipeline.Dynamic.Extension
   alias Situ.Ports.ErrorCounters
   require Logger
@@ -49,7 +49,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @doc "Handles the end of a stage whose process continues with other stages."
   @spec handle_stage_end(State.t(), pos_integer()) :: State.t()
   def handle_stage_end(state, id),
-    do: state |> Stages.remove_from_process(id) |> handle_stage_exit(id, :normal)
+    do: state |> StageProcesses.remove_stage(id) |> handle_stage_exit(id, :normal)
 
   # The end of another stage of the process may have dropped this one.
   defp handle_stage_exit(%{stages: stages} = state, id, _reason) when not is_map_key(stages, id),
@@ -139,7 +139,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   # Actions
 
   defp perform_action({:tell, id, request}, state), do: Stages.send_request(state, id, request)
-  defp perform_action({:spawn, ids}, state), do: Stages.spawn_stages(state, ids)
+  defp perform_action({:spawn, ids}, state), do: StageProcesses.spawn_stages(state, ids)
   defp perform_action({:start, ids}, state), do: Stages.start_stages(state, ids)
 
   defp perform_action({:run, ids}, state),
@@ -162,7 +162,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
 
   # A stage whose process is still alive leaves when the process ends.
   defp perform_action({:forget, ids}, state) do
-    ended = Enum.filter(ids, &Stages.process_ended?(state, &1))
+    ended = Enum.filter(ids, &StageProcesses.process_ended?(state, &1))
     state |> Extension.remove_vertices(ids) |> apply_events(Enum.map(ended, &{:left, &1}))
   end
 

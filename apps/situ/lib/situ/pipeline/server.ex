@@ -16,16 +16,8 @@ defmodule Situ.Pipeline.Server do
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
 
-  alias Situ.Pipeline.{
-    PendingCheckpoint,
-    Dynamic,
-    Handlers,
-    Inspection,
-    LifecycleRunner,
-    Stages,
-    State,
-    Termination
-  }
+  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, LifecycleRunner, PendingCheckpoint}
+  alias Situ.Pipeline.{StageProcesses, Stages, State, Termination}
 
   # These requests wait until a starting pipeline is running.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
@@ -133,10 +125,10 @@ defmodule Situ.Pipeline.Server do
 
   # These two requests make the pipeline look like a supervisor.
   defp handle_request(:which_children, _from, state),
-    do: {:reply, Stages.list_children(state), state}
+    do: {:reply, StageProcesses.list_children(state), state}
 
   defp handle_request(:count_children, _from, state) do
-    children = Stages.list_children(state)
+    children = StageProcesses.list_children(state)
     active = Enum.count(children, fn {_, pid, _, _} -> is_pid(pid) end)
     n = length(children)
     {:reply, [specs: n, active: active, supervisors: 0, workers: n], state}
@@ -266,7 +258,7 @@ defmodule Situ.Pipeline.Server do
   defp handle_message({:situ_watch, which, mark}, state) do
     # In this order: a stage that stops waiting is not idle before it has moved its messages.
     patient? = Stages.any_patient?(state)
-    idle = Stages.idle_stages(state)
+    idle = StageProcesses.idle_stages(state)
     moved? = Stages.fingerprint(state, which) != mark
     seen = %{moved?: moved?, idle: if(moved?, do: MapSet.new(), else: idle), patient?: patient?}
     apply_event(state, {:watched, which, seen})
@@ -371,7 +363,7 @@ defmodule Situ.Pipeline.Server do
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
   defp handle_stage_message({:relocating, stage}, id, state),
-    do: {:noreply, Stages.relocate_stage(state, id, stage)}
+    do: {:noreply, StageProcesses.relocate_stage(state, id, stage)}
 
   defp handle_stage_message(:ended, id, state),
     do: state |> LifecycleRunner.handle_stage_end(id) |> Termination.stop_if_finished()

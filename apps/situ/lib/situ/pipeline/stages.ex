@@ -5,9 +5,8 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
-  alias Situ.Pipeline.{State, StoppedSnapshot}
+  alias Situ.Pipeline.{StageProcesses, State, StoppedSnapshot}
   alias Situ.Ports.{Counters, Output, ErrorCounters}
-  alias Situ.Stage.SharedProcess
 
   @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
   @spec install_plan(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
@@ -157,64 +156,6 @@ defmodule Situ.Pipeline.Stages do
     struct!(base, extra)
   end
 
-  @doc "Spawns a process for each stage or group of stages, for the first time or again."
-  @spec spawn_stages(State.t(), [pos_integer()]) :: State.t()
-  def spawn_stages(state, ids) do
-    ids
-    |> Enum.group_by(&(state.stages[&1].group || {:alone, &1}))
-    |> Enum.reduce(state, fn {_group, ids}, state -> spawn_process(state, Enum.sort(ids)) end)
-  end
-
-  defp spawn_process(state, ids) do
-    pid =
-      case Enum.map(ids, &stage_arguments(state, state.stages[&1])) do
-        [arguments] -> Stage.spawn_link(arguments)
-        arguments -> SharedProcess.spawn_link(arguments)
-      end
-
-    # Only this start uses the snapshot; a later restart begins afresh, as its `on_error` specifies.
-    entry = %{pid: pid, shared?: match?([_, _ | _], ids), memory: nil, stopped: %{}}
-
-    stages =
-      Enum.reduce(ids, state.stages, fn id, all -> Map.update!(all, id, &Map.merge(&1, entry)) end)
-
-    %{state | stages: stages, pids: Map.put(state.pids, pid, ids)}
-  end
-
-  defp stage_arguments(state, stage) do
-    %{
-      marks: stage.marks,
-      memory: resumed_memory(state, stage),
-      id: stage.id,
-      server: self(),
-      handle: state.handle,
-      vertices: stage.vertices,
-      tally: stage.tally,
-      tail_counters: stage.tail,
-      sizes: state.settings.message_sizes
-    }
-  end
-
-  defp resumed_memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
-    do: state.settings.resume[head.path]
-
-  defp resumed_memory(_state, stage), do: stage.memory
-
-  @doc "Gives a stage that leaves a shared process its own process (see Situ.Stage.Relocation)."
-  @spec relocate_stage(State.t(), pos_integer(), Stage.State.t()) :: State.t()
-  def relocate_stage(state, id, stage) do
-    %{pid: shared} = entry = state.stages[id]
-    pid = Stage.spawn_relocated(stage, shared)
-    state = remove_from_process(state, id)
-    send(shared, {:situ, {:relocated, id, pid}})
-
-    %{
-      state
-      | stages: Map.put(state.stages, id, %{entry | pid: pid, shared?: false}),
-        pids: Map.put(state.pids, pid, [id])
-    }
-  end
-
   @doc "Sends the stages their clock and neighbours, and starts them."
   @spec start_stages(State.t(), [pos_integer()]) :: State.t()
   def start_stages(state, ids) do
@@ -321,30 +262,12 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
-  @doc "Returns whether the process of a stage has ended."
-  @spec process_ended?(State.t(), pos_integer()) :: boolean()
-  def process_ended?(state, id) do
-    case state.stages do
-      %{^id => %{pid: pid}} -> id not in Map.get(state.pids, pid, [])
-      _ -> false
-    end
-  end
-
-  @doc "Removes a stage from its process, which may continue with other stages."
-  @spec remove_from_process(State.t(), pos_integer()) :: State.t()
-  def remove_from_process(state, id) do
-    pid = state.stages[id].pid
-
-    case Map.get(state.pids, pid, []) -- [id] do
-      [] -> %{state | pids: Map.delete(state.pids, pid)}
-      ids -> %{state | pids: Map.put(state.pids, pid, ids)}
-    end
-  end
-
   @doc "Deletes everything that belongs to a stage that the life cycle has dropped."
   @spec drop_stage(State.t(), pos_integer()) :: State.t()
   def drop_stage(state, id) do
-    state = if is_map_key(state.stages, id), do: remove_from_process(state, id), else: state
+    state =
+      if is_map_key(state.stages, id), do: StageProcesses.remove_stage(state, id), else: state
+
     stages = Map.delete(state.stages, id)
     tags = for {tag, link} <- state.wires.links, link.to == id or link.from == id, do: tag
     Enum.reduce(tags, %{state | stages: stages}, &drop_link(&2, &1))
@@ -419,35 +342,10 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "Returns the stages that wait for a message and have none."
-  @spec idle_stages(State.t()) :: MapSet.t(pos_integer())
-  def idle_stages(state),
-    do: for({id, stage} <- state.stages, stage_idle?(stage), into: MapSet.new(), do: id)
-
   @doc "Returns whether a stage waits for the outside world or for the clock; such a wait has no limit."
   @spec any_patient?(State.t()) :: boolean()
   def any_patient?(state),
     do: Enum.any?(state.stages, fn {_, stage} -> Stage.patient?(stage.control) end)
-
-  defp stage_idle?(%{pid: nil}), do: true
-
-  defp stage_idle?(stage) do
-    case Process.info(stage.pid, [:message_queue_len, :current_function]) do
-      [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
-      nil -> true
-      _ -> false
-    end
-  end
-
-  @doc "Returns the stages in the form of `Supervisor.which_children/1`."
-  @spec list_children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
-  def list_children(state) do
-    for {id, %{vertices: [head | _], pid: pid}} <- Enum.sort(state.stages) do
-      alive? = state.life.stages[id].alive? and pid != nil
-      module = if head.module == :operator, do: Stage, else: head.module
-      {head.path, if(alive?, do: pid, else: :undefined), :worker, [module]}
-    end
-  end
 
   @doc "Measures whether the pipeline is quiet or busy, and its fingerprint, for the wait until a cycle has settled."
   @spec measure_drain(State.t()) :: map()
@@ -455,7 +353,7 @@ defmodule Situ.Pipeline.Stages do
     if no_messages_in_flight?(state) do
       %{quiet?: true, mark: nil, busy?: false}
     else
-      idle = idle_stages(state)
+      idle = StageProcesses.idle_stages(state)
       busy? = Enum.any?(state.life.pending, &(&1 not in idle))
       %{quiet?: false, mark: fingerprint(state, :all), busy?: busy?}
     end

@@ -2,14 +2,14 @@ defmodule Situ.Stage.SharedProcess do
   @moduledoc false
   # The process of several light stages. Each of them is a stage as in a process of its own, with the same state and
   # protocol (see Situ.Stage): only the messages between them wait in a local queue, where they are neither copied nor
-  # wake up a process. See docs/adr/0010-one-process-per-component-or-chain.md.
+  # wake up a process. See docs/adr/0012-light-stages-share-a-process.md.
   use GenServer
   require Situ.Stage.Pause
 
   alias Situ.Clock.Timers
   alias Situ.Ports.{Address, Input, Outputs}
   alias Situ.Stage
-  alias Situ.Stage.{Load, Loop, Pause, Relocation, RequestHandler, State, Step, Subscriptions}
+  alias Situ.Stage.{Departure, Load, Loop, Pause, RequestHandler, State, Step, Subscriptions}
 
   @slice_ns 5_000_000
   # The load is checked after so many time slices that did not finish.
@@ -28,11 +28,13 @@ defmodule Situ.Stage.SharedProcess do
 
   @typedoc """
   `members` holds the stages by id; `consumers` and `producers` the stage of each connection to another process, as far
-  as it was looked up. `paused` holds the stages that are paused for a checkpoint: the checkpoint's reference, whether
-  a time slice was scheduled, the messages that arrived since, newest first, and the actions of changes. `ready` holds the
-  stages to run, newest first. `leaving` holds the stages that leave or have left (see Relocation): the messages that are
-  kept for them, newest first, or their process; `relays` the addresses that their messages need. `waiting` holds messages that were taken from the local queue but not handled when the last time slice ended.
-  `saturated` counts the time slices in a row after which some did.
+  as it was looked up. `paused` holds the stages that are paused for a checkpoint: the checkpoint's reference, whether a
+  time slice was scheduled, the messages that arrived since, newest first, and the actions of changes. `leaving` holds
+  the stages that leave or have left (see Departure): the messages that are kept for them, newest first, or their
+  process; `relays` the addresses that their messages need.
+
+  `ready` holds the stages to run, newest first. `waiting` holds messages that were taken from the local queue but not
+  handled when the last time slice ended, and `saturated` counts the time slices in a row after which there were some.
   """
   @type t :: %__MODULE__{
           members: %{pos_integer() => State.t()},
@@ -83,7 +85,7 @@ defmodule Situ.Stage.SharedProcess do
   end
 
   def handle_info({:situ, {:relocated, id, pid}}, process),
-    do: process |> finish_relocation(id, pid) |> end_slice()
+    do: process |> Departure.finish(id, pid) |> end_slice()
 
   def handle_info({:situ, {:refresh, {_pid, tag}}} = message, process),
     do: run_producer(process, tag, message)
@@ -109,13 +111,10 @@ defmodule Situ.Stage.SharedProcess do
   def handle_info({:situ_hold, tag, _token} = message, process),
     do: run_consumer(process, tag, message)
 
-  def handle_info({:situ_alarm, due} = message, process),
-    do:
-      run_stages(
-        process,
-        for({id, state} <- process.members, alarm?(state, due), do: id),
-        message
-      )
+  def handle_info({:situ_alarm, due} = message, process) do
+    ids = for {id, state} <- process.members, alarm?(state, due), do: id
+    run_stages(process, ids, message)
+  end
 
   def handle_info(:situ_turn, %{waiting: waiting} = process),
     do: run_messages(%{process | scheduled: false, waiting: []}, waiting)
@@ -124,7 +123,8 @@ defmodule Situ.Stage.SharedProcess do
     left = for {id, {:moved, ^pid}} <- process.leaving, do: id
     process = %{process | leaving: Map.drop(process.leaving, left)}
     watches? = fn state -> Enum.any?(State.list_subscribers(state), &(&1.monitor == ref)) end
-    run_stages(process, for({id, state} <- process.members, watches?.(state), do: id), message)
+    ids = for {id, state} <- process.members, watches?.(state), do: id
+    run_stages(process, ids, message)
   end
 
   # Light stages take no plain messages.
@@ -240,85 +240,10 @@ defmodule Situ.Stage.SharedProcess do
     heavy? = Load.heavy?(state)
     members = Map.new(members, fn {id, state} -> {id, Load.start_check(state)} end)
     process = %{process | members: members, saturated: 0}
-    if heavy?, do: relocate(process, id, members[id]), else: process
+    if heavy?, do: Departure.begin(process, id, members[id]), else: process
   end
 
   defp check_load(process), do: %{process | saturated: 0}
-
-  # The last stage has nobody to delay.
-  defp relocate(%{members: members} = process, id, state) do
-    if map_size(members) > 1 and not is_map_key(process.paused, id) and Relocation.movable?(state) do
-      {moving, relays} = Relocation.prepare_state(state, self())
-      Step.report_event(elem(state.steps, 0), {:relocating, moving})
-      inputs = for step <- State.list_steps(state), {tag, _} <- step.inputs.by_tag, do: {tag, id}
-      outputs = for sub <- State.list_subscribers(state), do: {sub.tag, id}
-
-      %{
-        process
-        | members: Map.delete(members, id),
-          leaving: Map.put(process.leaving, id, {:kept, []}),
-          consumers: Enum.into(inputs, process.consumers),
-          producers: Enum.into(outputs, process.producers),
-          relays: Map.merge(process.relays, relays)
-      }
-    else
-      put_member(process, id, state)
-    end
-  end
-
-  # Messages that still wait for the stage come before those that its neighbors will send to the new process.
-  defp finish_relocation(%{waiting: waiting} = process, id, pid) do
-    {own, waiting} = Enum.split_with(waiting, &match?({^id, _message}, &1))
-    %{leaving: leaving} = process = handle_messages(own, %{process | waiting: waiting})
-    {:kept, kept} = Map.fetch!(leaving, id)
-    for message <- Enum.reverse(kept), do: send(pid, {:situ_forwarded, message})
-    send(pid, :situ_forwarding_ended)
-    Process.monitor(pid)
-
-    members =
-      Map.new(process.members, fn {other, state} ->
-        {other, Relocation.readdress_neighbor(state, id, pid)}
-      end)
-
-    %{process | members: members, leaving: Map.put(leaving, id, {:moved, pid})}
-  end
-
-  # Forwards a message to a stage that has left. Connections that are made meanwhile are known by the requests for them.
-  defp forward(%{leaving: leaving} = process, id, message) when is_map_key(leaving, id) do
-    case message do
-      :situ_turn ->
-        process
-
-      {:situ, {:lend, tag, _output, _pid, _counters, _policy}} ->
-        forward_message(put_in(process.producers[tag], id), id, message)
-
-      {:situ, {:tap, %{tag: tag}}} ->
-        forward_message(put_in(process.producers[tag], id), id, message)
-
-      {:situ, {:attach, _request, _last, %{tag: tag}}} ->
-        forward_message(put_in(process.consumers[tag], id), id, message)
-
-      {:"$gen_producer", {_address, tag} = from, request} ->
-        from = if is_map_key(process.relays, {:consumer, tag}), do: {self(), tag}, else: from
-        forward_message(process, id, {:"$gen_producer", from, request})
-
-      message ->
-        forward_message(process, id, message)
-    end
-  end
-
-  defp forward(process, _has_ended, _message), do: process
-
-  defp forward_message(%{leaving: leaving} = process, id, message) do
-    case leaving do
-      %{^id => {:kept, kept}} ->
-        %{process | leaving: %{leaving | id => {:kept, [message | kept]}}}
-
-      %{^id => {:moved, pid}} ->
-        send(pid, message)
-        process
-    end
-  end
 
   defp schedule_slice(process) do
     send(self(), :situ_turn)
@@ -352,7 +277,7 @@ defmodule Situ.Stage.SharedProcess do
         handle_messages(deferred ++ rest, process)
 
       _has_left_or_ended ->
-        handle_messages(rest, forward(process, id, message))
+        handle_messages(rest, Departure.forward(process, id, message))
     end
   end
 
@@ -381,7 +306,7 @@ defmodule Situ.Stage.SharedProcess do
   defp put_result(process, id, state) do
     cond do
       state.quitting and State.drained?(state) -> remove_member(process, id, state)
-      Load.blocking?(state.load) -> relocate(process, id, state)
+      Load.blocking?(state.load) -> Departure.begin(process, id, state)
       true -> put_member(process, id, state)
     end
   end
@@ -419,7 +344,9 @@ defmodule Situ.Stage.SharedProcess do
     %{process | paused: Map.put(process.paused, id, {ref, state.scheduled, [], []})}
   end
 
-  defp handle_message({:situ, :relocate}, id, state, process), do: relocate(process, id, state)
+  defp handle_message({:situ, :relocate}, id, state, process),
+    do: Departure.begin(process, id, state)
+
   defp handle_message(message, id, state, process), do: call_stage(message, id, state, process)
 
   defp call_stage(message, id, state, process) do

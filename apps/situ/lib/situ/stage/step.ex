@@ -30,9 +30,8 @@ defmodule Situ.Stage.Step do
 
   @typedoc """
   `owner` is the pipeline's server and the stage's id there. `control` holds shared cells: the time up to which messages
-  count, and whether the stage is patient. With `restarts?`, another process replaces this one when it dies. With `shared?`, other stages run in
-  its process. Clock and
-  control are known when the stage is wired.
+  count, and whether the stage is patient. With `restarts?`, another process replaces this one when it dies. With
+  `shared?`, other stages run in its process. Clock and control are known when the stage is wired.
   """
   @type host :: %{
           owner: {server :: pid(), id :: pos_integer()},

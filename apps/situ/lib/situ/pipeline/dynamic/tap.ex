@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Stages, State}
+  alias Situ.Pipeline.{StageProcesses, Stages, State}
   alias Situ.Ports.Counters
 
   @type events :: [Situ.Lifecycle.event()]
@@ -142,7 +142,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
         }
     }
 
-    state = state |> put_tap(id, tap) |> Stages.spawn_stages([id])
+    state = state |> put_tap(id, tap) |> StageProcesses.spawn_stages([id])
     {state, [{:joined, Stages.build_member(stage, tap?: true)}, {:linked, tag, link}]}
   end
 
