@@ -193,6 +193,13 @@ defmodule Situ.Ports.Outputs do
   def progress_mark(%__MODULE__{own: own}),
     do: for({_, output} <- own, do: {output.seq, output.last_time})
 
+  @doc "Returns how many messages were posted."
+  @spec posted_count(t()) :: non_neg_integer()
+  def posted_count(%__MODULE__{own: [{_, output}]}), do: output.seq
+
+  def posted_count(%__MODULE__{own: own}),
+    do: Enum.reduce(own, 0, fn {_, output}, n -> n + output.seq end)
+
   @doc "Returns how many messages had been posted before, or were dropped because of their time."
   @spec repeated_count(t()) :: non_neg_integer()
   def repeated_count(%__MODULE__{own: own}),

@@ -23,7 +23,11 @@ defmodule Situ.Stage.Production do
 
   defp ask_source(%{outputs: outputs} = step, room) do
     before = {Outputs.progress_mark(outputs), Outputs.repeated_count(outputs), count_errors(step)}
-    step |> CallbackRunner.call_callback(:handle_demand, [room]) |> judge_reply(before)
+    count = Outputs.posted_count(outputs)
+    started = :erlang.monotonic_time(:nanosecond)
+    step = CallbackRunner.call_callback(step, :handle_demand, [room])
+    posted = Outputs.posted_count(step.outputs) - count
+    step |> Step.count_produced(posted, started) |> judge_reply(before)
   end
 
   defp judge_progress(%{source: source, phase: phase} = step) do

@@ -22,6 +22,7 @@ defmodule Situ.Stage.SharedProcess do
             leaving: %{},
             relays: %{},
             ready: [],
+            sources: [],
             waiting: [],
             scheduled: false,
             saturated: 0
@@ -33,7 +34,8 @@ defmodule Situ.Stage.SharedProcess do
   the stages that leave or have left (see Departure): the messages that are kept for them, newest first, or their
   process; `relays` the addresses that their messages need.
 
-  `ready` holds the stages to run, newest first. `waiting` holds messages that were taken from the local queue but not
+  `ready` and `sources` hold the stages to run, newest first: sources run when nothing else has anything to do, so that
+  messages do not pile up. `waiting` holds messages that were taken from the local queue but not
   handled when the last time slice ended, and `saturated` counts the time slices in a row after which there were some.
   """
   @type t :: %__MODULE__{
@@ -44,6 +46,7 @@ defmodule Situ.Stage.SharedProcess do
           leaving: %{pos_integer() => {:kept, [term()]} | {:moved, pid()}},
           relays: %{({:producer, term()} | {:consumer, term()}) => pid()},
           ready: [pos_integer()],
+          sources: [pos_integer()],
           waiting: [{pos_integer(), term()}],
           scheduled: boolean(),
           saturated: non_neg_integer()
@@ -226,7 +229,9 @@ defmodule Situ.Stage.SharedProcess do
        do: {:stop, :normal, process}
 
   defp end_slice(%{scheduled: true} = process), do: {:noreply, process}
-  defp end_slice(%{waiting: []} = process), do: {:noreply, %{process | saturated: 0}}
+
+  defp end_slice(%{waiting: [], sources: []} = process),
+    do: {:noreply, %{process | saturated: 0}}
 
   defp end_slice(process), do: {:noreply, process |> check_load() |> schedule_slice()}
 
@@ -254,14 +259,16 @@ defmodule Situ.Stage.SharedProcess do
   defp run_rounds(messages, process, deadline) do
     process = messages |> handle_messages(process) |> run_ready()
 
-    case Address.take_local() do
-      [] ->
+    case {Address.take_local(), process.sources} do
+      {[], []} ->
         process
 
-      messages ->
-        if :erlang.monotonic_time(:nanosecond) > deadline,
-          do: %{process | waiting: messages},
-          else: run_rounds(messages, process, deadline)
+      {messages, sources} ->
+        cond do
+          :erlang.monotonic_time(:nanosecond) > deadline -> %{process | waiting: messages}
+          messages != [] -> run_rounds(messages, process, deadline)
+          true -> run_rounds([], %{process | ready: sources, sources: []}, deadline)
+        end
     end
   end
 
@@ -295,7 +302,7 @@ defmodule Situ.Stage.SharedProcess do
       %{^id => state} ->
         state = Loop.run_slice(%{state | ready: false})
         now = :erlang.monotonic_time(:nanosecond)
-        state = %{state | load: Load.add_run(state.load, now - started, state)}
+        state = Load.add_run(state, now - started)
         run_ready(rest, put_result(process, id, state), now)
 
       _has_ended ->
@@ -306,15 +313,20 @@ defmodule Situ.Stage.SharedProcess do
   defp put_result(process, id, state) do
     cond do
       state.quitting and State.drained?(state) -> remove_member(process, id, state)
-      Load.blocking?(state.load) -> Departure.begin(process, id, state)
+      Load.blocking?(state) -> Departure.begin(process, id, state)
       true -> put_member(process, id, state)
     end
   end
 
   defp put_ready(process, id, %{ready: true} = state), do: put_member(process, id, state)
 
-  defp put_ready(%{ready: ready} = process, id, state),
-    do: put_member(%{process | ready: [id | ready]}, id, %{state | ready: true})
+  defp put_ready(process, id, %{steps: steps} = state) do
+    state = %{state | ready: true}
+
+    if elem(steps, 0).source.kind == :pull,
+      do: put_member(%{process | sources: [id | process.sources]}, id, state),
+      else: put_member(%{process | ready: [id | process.ready]}, id, state)
+  end
 
   # Messages and demand wait until the stage's time slice, which is one for all of them.
   defp handle_message({:"$gen_consumer", {_, tag}, batches}, id, state, process)

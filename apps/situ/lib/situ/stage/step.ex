@@ -116,6 +116,13 @@ defmodule Situ.Stage.Step do
     %{step | work: Work.count_slice(work, n, taken, {busy_time(step, time - started), time})}
   end
 
+  @doc "Counts `n` messages that a source has posted from the monotonic time `started` (ns) on."
+  @spec count_produced(t(), non_neg_integer(), integer()) :: t()
+  def count_produced(%__MODULE__{work: work} = step, n, started) do
+    elapsed = busy_time(step, :erlang.monotonic_time(:nanosecond) - started)
+    %{step | work: Work.note_time(work, n, elapsed)}
+  end
+
   # On a manual clock, a test decides how long a message takes.
   defp busy_time(%{host: %{clock: %{kind: :manual} = clock}, context: %{now: now}}, _elapsed),
     do: Clock.now(clock) - now

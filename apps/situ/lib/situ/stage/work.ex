@@ -14,6 +14,7 @@ defmodule Situ.Stage.Work do
             looked: nil,
             spent: {0, 0},
             time: 0,
+            shortest: nil,
             failure: nil
 
   @typedoc """
@@ -22,7 +23,8 @@ defmodule Situ.Stage.Work do
   if the component still has output left although they have. `singly` is the number of messages of a failed batch that
   are still to be handled one by one. `looked` is how many messages had been taken at the server's last check for
   progress. `spent` is the number of messages handled since the counts were published, and the ns that they took.
-  `time` is the monotonic time (ns) at which that was last counted. `failure` is the error that ended the step.
+  `time` is the monotonic time (ns) at which that was last counted. `shortest` is the shortest time (ns) per message that
+  was noted. `failure` is the error that ended the step.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -33,8 +35,24 @@ defmodule Situ.Stage.Work do
           looked: non_neg_integer() | nil,
           spent: {non_neg_integer(), integer()},
           time: integer(),
+          shortest: non_neg_integer() | nil,
           failure: Situ.Error.t() | nil
         }
+
+  @doc "Notes that `n` messages were handled, or posted by a source, in `elapsed` ns."
+  @spec note_time(t(), non_neg_integer(), integer()) :: t()
+  def note_time(%__MODULE__{} = work, 0, _elapsed), do: work
+
+  # `nil` is more than any number.
+  def note_time(%__MODULE__{shortest: shortest} = work, n, elapsed),
+    do: %{work | shortest: min(div(elapsed, n), shortest)}
+
+  @doc "Returns the shortest time (ns) per message since it was forgotten."
+  @spec shortest_time(t()) :: non_neg_integer()
+  def shortest_time(%__MODULE__{shortest: shortest}), do: shortest || 0
+
+  @spec forget_shortest_time(t()) :: t()
+  def forget_shortest_time(%__MODULE__{} = work), do: %{work | shortest: nil}
 
   @doc """
   Counts `n` messages, out of `taken`, that were handled together in `elapsed` ns until the monotonic time `time`. The
@@ -52,7 +70,8 @@ defmodule Situ.Stage.Work do
         true -> slice
       end
 
-    %{work | slice: slice, spent: {handled + n, ns + elapsed}, time: time}
+    work = %{work | slice: slice, spent: {handled + n, ns + elapsed}, time: time}
+    note_time(work, n, elapsed)
   end
 
   @doc "Adds an input that has closed."
