@@ -60,6 +60,10 @@ defmodule Situ.GenStage do
   # See docs/adr/0011-demand-uses-genstage-messages.md.
   alias Situ.Argument
   alias Situ.Pipeline.Client
+  alias Situ.Ports.Dispatcher
+
+  @typedoc "How an output shares its messages among consumers outside the pipeline, see `dispatch/3`."
+  @type dispatcher :: :demand | :broadcast | {:partition, keyword()}
 
   @doc """
   Returns the process to subscribe to and the options that name the output. The pipeline must be running.
@@ -101,13 +105,52 @@ defmodule Situ.GenStage do
   @spec accumulate(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
   def accumulate(stream, opts \\ [])
 
-  def accumulate(%Situ.Stream{} = stream, opts) do
-    own = [default_name: "Accumulate", outputs: [out: stream.type]]
-    node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Accumulator, own ++ opts)
-    Situ.Pipeline.connect(stream, node, :in)
-    Situ.Node.streams(node)
-  end
+  def accumulate(%Situ.Stream{} = stream, opts),
+    do: add_outlet(stream, [default_name: "Accumulate", demand: :accumulate] ++ opts)
 
   def accumulate(other, _arg2),
     do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.accumulate(stream)")
+
+  @doc """
+  Shares the messages of a stream among GenStage consumers outside the pipeline. `dispatcher` is one of:
+
+    * `:demand`: each message goes to one consumer, the one with the largest demand (of equal ones, the one that has
+      waited longest). What has not been sent to a consumer that leaves goes to the others.
+    * `:broadcast`: each message goes to every consumer once all have asked for it, so the slowest one sets the pace.
+      A consumer that subscribes with `selector: fn message -> boolean end` receives only these messages, and the
+      others do not count against its demand. A process can subscribe once.
+    * `{:partition, partitions: n_or_names, hash: fun}`: each message goes to the consumer of its partition. One
+      consumer subscribes to each partition, with `partition: name`. `fun` takes a message and returns
+      `{message, partition}`, or `:none` to drop it. Without `hash:`, the partitions are numbered from 0, and messages
+      with equal data go to the same one. The demand of all partitions counts together, so messages of a busy
+      partition wait in the pipeline.
+
+  The stream waits until consumers have subscribed and asked. A pipeline that is stopped does not wait for a consumer,
+  and drops the messages that none can receive. Inputs in the pipeline that are connected to the returned stream receive
+  every message. Options: `demand: :accumulate` (as `accumulate/2`), and `Situ.Graph.Placement`.
+
+      Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.dispatch(:demand, name: "Jobs")
+  """
+  @spec dispatch(Situ.Stream.t(), dispatcher(), keyword()) :: Situ.Stream.t()
+  def dispatch(stream, dispatcher, opts \\ [])
+
+  def dispatch(%Situ.Stream{} = stream, dispatcher, opts) do
+    with {:error, error} <- Dispatcher.new(dispatcher), do: raise(error)
+    add_outlet(stream, [default_name: "Dispatch", dispatcher: dispatcher] ++ opts)
+  end
+
+  def dispatch(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.dispatch(stream, :demand)")
+
+  defp add_outlet(stream, opts) do
+    node =
+      Situ.Pipeline.add(
+        stream.pipeline,
+        Situ.GenStage.Outlet,
+        [outputs: [out: stream.type]] ++ opts
+      )
+
+    Situ.Pipeline.connect(stream, node, :in)
+    Situ.Node.streams(node)
+  end
 end
