@@ -142,6 +142,48 @@ defmodule Situ.GenStage do
   def dispatch(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.dispatch(stream, :demand)")
 
+  @doc """
+  Acknowledges the events of a stream from `from/3` once the messages made of them have arrived in the stream `done`, so
+  that their producer delivers the others again after a crash.
+
+      events = Situ.GenStage.from(p, producer)
+      done = events |> Situ.map(& &1.data) |> Situ.each(&Shop.put_order/1)
+      Situ.GenStage.acknowledge(events, done)
+
+  Choose `done` by what must be safe first: the result of `Situ.each/3` has a message once the function has returned,
+  and `Situ.Store.write/4` with `after_commit: true` returns the messages that are in the recording.
+  `acknowledge(events, events)` acknowledges events as soon as the pipeline has taken them.
+
+  An event is successful when `done` has a message with its originating time. An event is missing when only later
+  messages have arrived: a filter or a component with `on_error: :skip` dropped it. So `done` must keep the times of the
+  events, as operators do unless they shift times. An event that has neither is not acknowledged, whether the pipeline
+  goes on, ends, fails or is killed. If the acknowledger raises, it may be called again with the same events.
+
+  Events of Broadway producers are acknowledged by their `acknowledger`, with one call of `ack/3` for each reference.
+  Options, in addition to `Situ.Graph.Placement`:
+
+    * `with:` a function that is called instead, for other producers: `fn successful, failed -> ... end`, two lists of
+      events.
+    * `missing:` `:failed` (default) or `:successful`, for streams that filter or aggregate on purpose.
+    * `fail_after:` ns of the pipeline's clock. An event without a result after so long has failed. Without it, an event
+      that is dropped waits until a later one arrives at `done`. Set it for a producer that sends no more before its
+      events are acknowledged, and keep it longer than the pipeline needs for an event.
+  """
+  @spec acknowledge(Situ.Stream.t(), Situ.Stream.t(), keyword()) :: :ok
+  def acknowledge(events, done, opts \\ [])
+
+  def acknowledge(%Situ.Stream{} = events, %Situ.Stream{} = done, opts) do
+    {policy, opts} = Keyword.pop(opts, :policy, Situ.Delivery.unlimited())
+    own = [default_name: "Acknowledge"]
+    node = Situ.Pipeline.add(events.pipeline, Situ.GenStage.Acknowledger, own ++ opts)
+    Situ.Pipeline.connect(events, node, :events, policy: policy)
+    Situ.Pipeline.connect(done, node, :done, policy: policy)
+    :ok
+  end
+
+  def acknowledge(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.acknowledge(events, done)")
+
   defp add_outlet(stream, opts) do
     node =
       Situ.Pipeline.add(
