@@ -1,6 +1,6 @@
 defmodule Situ.GenStage do
   @moduledoc """
-  Connects GenStage and Flow to pipelines. Situ's processes use GenStage's message protocol, so a GenStage consumer
+  Connects GenStage, Flow and Broadway to pipelines. Situ's processes use GenStage's message protocol, so a GenStage consumer
   can subscribe to any output, and a GenStage producer can be a source. Situ does not depend on GenStage.
 
   ## A GenStage consumer on an output
@@ -17,6 +17,9 @@ defmodule Situ.GenStage do
   `accumulate/2` holds a stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls
   automatically.
 
+  Every consumer receives every message. `dispatch/3` shares the messages among consumers, as GenStage's dispatchers
+  do.
+
   ## A GenStage producer as a source
 
       stream = Situ.GenStage.from(p, producer, type: :integer)
@@ -29,6 +32,8 @@ defmodule Situ.GenStage do
   Without a producer, as in `from(p, [])`, the stream waits until a producer is assigned with
   `Flow.into_stages(flow, [pid])` or `GenStage.sync_subscribe(pid, to: producer)`. `subscription/2` returns this
   `pid`.
+
+  `acknowledge/3` acknowledges the events of Broadway's producers, and of others, once the pipeline has handled them.
 
   ## The messages
 
@@ -56,8 +61,25 @@ defmodule Situ.GenStage do
       iex> {:error, error} = Situ.GenStage.subscription(p, "Same")
       iex> error.code
       :not_running
+
+  The work of a pipeline, shared by two consumers:
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   p |> Situ.from_enumerable(1..4, every: 1) |> Situ.GenStage.dispatch(:demand, name: "Jobs")
+      ...> end, [])
+      iex> {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "Jobs")
+      iex> for tag <- [:a, :b], request <- [{:subscribe, nil, opts}, {:ask, 3}],
+      ...>   do: send(pid, {:"$gen_producer", {self(), tag}, request})
+      iex> jobs = for tag <- [:a, :b] do
+      ...>   receive do: ({:"$gen_consumer", {^pid, ^tag}, messages} -> length(messages))
+      ...> end
+      iex> Enum.all?(jobs, &(&1 in 1..3))
+      true
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> :ok
+      :ok
   """
-  # See docs/adr/0011-demand-uses-genstage-messages.md.
+  # See docs/adr/0011-demand-uses-genstage-messages.md and docs/adr/0166-outputs-can-have-a-dispatcher.md.
   alias Situ.Argument
   alias Situ.Pipeline.Client
   alias Situ.Ports.Dispatcher
@@ -149,6 +171,24 @@ defmodule Situ.GenStage do
       events = Situ.GenStage.from(p, producer)
       done = events |> Situ.map(& &1.data) |> Situ.each(&Shop.put_order/1)
       Situ.GenStage.acknowledge(events, done)
+
+  For example, with a function that receives the acknowledgements:
+
+      iex> me = self()
+      iex> {:ok, _report} = Situ.Pipeline.run(fn p ->
+      ...>   events = Situ.from_enumerable(p, 1..3, every: 1)
+      ...>   done = Situ.filter(events, & &1 != 2)
+      ...>   Situ.GenStage.acknowledge(events, done, with: &send(me, {:acknowledged, &1, &2}))
+      ...> end)
+      iex> drain = fn drain, good, bad ->
+      ...>   receive do
+      ...>     {:acknowledged, more, worse} -> drain.(drain, good ++ more, bad ++ worse)
+      ...>   after
+      ...>     0 -> {good, bad}
+      ...>   end
+      ...> end
+      iex> drain.(drain, [], [])
+      {[1, 3], [2]}
 
   Choose `done` by what must be safe first: the result of `Situ.each/3` has a message once the function has returned,
   and `Situ.Store.write/4` with `after_commit: true` returns the messages that are in the recording.
