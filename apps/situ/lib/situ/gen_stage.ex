@@ -1,7 +1,7 @@
 defmodule Situ.GenStage do
   @moduledoc """
-  Connects GenStage, Flow and Broadway to pipelines. Situ's processes use GenStage's message protocol, so a GenStage consumer
-  can subscribe to any output, and a GenStage producer can be a source. Situ does not depend on GenStage.
+  Connects GenStage, Flow and Broadway to pipelines. Situ's processes use GenStage's message protocol, so a GenStage
+  consumer can subscribe to any output, and a GenStage producer can be a source. Situ does not depend on GenStage.
 
   ## A GenStage consumer on an output
 

@@ -39,8 +39,8 @@ defmodule Situ.Store.Exporter do
                        type: :boolean,
                        default: false,
                        doc:
-                         "Return the messages once they are committed, as a stream of their own, instead of the given " <>
-                           "stream. Every delivery is then committed immediately."
+                         "Return the messages once they are committed, instead of the given stream. Every " <>
+                           "delivery is then committed immediately."
                      ],
                      policy: [
                        type: :any,
