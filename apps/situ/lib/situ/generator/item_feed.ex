@@ -144,7 +144,9 @@ defmodule Situ.Generator.ItemFeed do
   defp take_item({:enum, continue}) do
     case continue.({:cont, nil}) do
       {:suspended, {:item, value}, continue} -> {value, {:enum, continue}}
-      {_done_or_halted, _acc} -> :done
+      # `Stream.take/2` ends with its last item.
+      {_done_or_halted, {:item, value}} -> {value, {:enum, :done}}
+      {_done_or_halted, nil} -> :done
     end
   end
 

@@ -103,6 +103,10 @@ defmodule Situ.Ports.Output do
     end
   end
 
+  @doc "Neither records the progress nor continues from it."
+  @spec forget_marks(t()) :: t()
+  def forget_marks(%__MODULE__{port: port} = output), do: %{output | port: %{port | mark: nil}}
+
   # Words 4 to 6 are the stamp of the last posted message, words 1 to 3 the stamp of the last message that was sent to
   # every subscriber. A process that replaces this one posts the messages again that were still waiting for demand.
   defp record_posted(%{mark: nil}, _stamp), do: :ok
@@ -278,6 +282,13 @@ defmodule Situ.Ports.Output do
 
   defp close_parts([batch | rest], source_id, batches),
     do: close_parts(rest, source_id, [batch | batches])
+
+  @doc "Returns the messages that the next flush will deliver."
+  @spec list_pending(t()) :: [Message.t()]
+  def list_pending(%__MODULE__{ending: {:withheld, _time}}), do: []
+
+  def list_pending(%__MODULE__{pending: pending, port: port}),
+    do: pending |> close_parts(port.source_id, []) |> Enum.flat_map(&Batch.messages/1)
 
   @doc "Takes the batches that wait for other steps of the stage; their closing mark follows: `[{tag, batches}]`."
   @spec take_local(t()) :: {[{term(), [Batch.t()]}], t()}

@@ -1,13 +1,17 @@
 defmodule Situ.Ports.Outputs do
   @moduledoc false
   # The outputs of one step of a stage, by name. With `demand: :accumulate` nothing is sent, whatever the demand, until
-  # it is `:forward`.
+  # it is `:forward`. A `dispatcher` serves the consumers outside the pipeline of a step with one output.
   alias Situ.Graph.Vertex
-  alias Situ.Ports.{Output, PostingRules, Subscriber}
+  alias Situ.Ports.{Dispatcher, Output, PostingRules, Subscriber}
 
-  defstruct own: [], demand: :forward
+  defstruct own: [], demand: :forward, dispatcher: nil
 
-  @type t :: %__MODULE__{own: [{atom(), Output.t()}], demand: :forward | :accumulate}
+  @type t :: %__MODULE__{
+          own: [{atom(), Output.t()}],
+          demand: :forward | :accumulate,
+          dispatcher: Dispatcher.t() | nil
+        }
 
   @doc "Builds the outputs of a vertex; those from `first` on in `marks` hold their recorded progress."
   @spec new(Vertex.t(), Output.marks() | nil, non_neg_integer()) :: t()
@@ -49,10 +53,34 @@ defmodule Situ.Ports.Outputs do
   def map_outputs(%__MODULE__{own: own} = outputs, fun),
     do: %{outputs | own: for({name, output} <- own, do: {name, fun.(output)})}
 
+  @doc """
+  Gives the only output a dispatcher. A process that replaces this one then posts again what it receives again, because
+  messages may have waited in the dispatcher.
+  """
+  @spec put_dispatcher(t(), Dispatcher.t()) :: t()
+  def put_dispatcher(%__MODULE__{own: [{name, output}]} = outputs, dispatcher),
+    do: %{outputs | own: [{name, Output.forget_marks(output)}], dispatcher: dispatcher}
+
+  @doc "Drops from now on what no consumer outside claims, because the pipeline is being stopped."
+  @spec discard_unclaimed(t()) :: t()
+  def discard_unclaimed(%__MODULE__{dispatcher: dispatcher} = outputs),
+    do: %{outputs | dispatcher: Dispatcher.discard_unclaimed(dispatcher)}
+
   @doc "Returns how many messages may be posted now."
   @spec available_room(t()) :: integer() | :infinity
   def available_room(%__MODULE__{demand: :accumulate}), do: 0
-  def available_room(%__MODULE__{own: [{_, output}]}), do: Output.available_room(output)
+
+  def available_room(%__MODULE__{own: [{_, output}], dispatcher: nil}),
+    do: Output.available_room(output)
+
+  # An atom is more than any number.
+  def available_room(%__MODULE__{own: [{_, output}], dispatcher: dispatcher}) do
+    case Dispatcher.available_room(dispatcher) do
+      :infinity -> Output.available_room(output)
+      room -> min(Output.available_room(output), room - output.pending_n)
+    end
+  end
+
   def available_room(%__MODULE__{own: own}), do: least_room(own, :infinity)
 
   defp least_room([], room), do: room
@@ -75,8 +103,25 @@ defmodule Situ.Ports.Outputs do
 
   def flush(%__MODULE__{own: [{_, %{pending: [], ending: nil}}]} = outputs, _now), do: outputs
 
+  def flush(%__MODULE__{own: [{name, output}], dispatcher: dispatcher} = outputs, now)
+      when dispatcher != nil do
+    dispatcher =
+      case Output.list_pending(output) do
+        [] -> dispatcher
+        messages -> Dispatcher.push(dispatcher, messages)
+      end
+
+    close_dispatcher(%{outputs | own: [{name, Output.flush(output, now)}], dispatcher: dispatcher})
+  end
+
   def flush(%__MODULE__{own: own} = outputs, now),
     do: %{outputs | own: for({name, output} <- own, do: {name, Output.flush(output, now)})}
+
+  # Its consumers receive the closing mark after the messages that wait for them.
+  defp close_dispatcher(%{own: [{_, %{ending: {:closed, time}}}]} = outputs),
+    do: %{outputs | dispatcher: Dispatcher.close(outputs.dispatcher, time)}
+
+  defp close_dispatcher(outputs), do: outputs
 
   @doc "Takes the batches that wait for other steps of the stage: `[{tag, batches}]`."
   @spec take_local(t()) :: {[{term(), [Situ.Delivery.Batch.t()]}], t()}
@@ -115,13 +160,33 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Adds demand of one subscriber; `:error` if the subscriber is unknown."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
-  def add_demand(%__MODULE__{own: [{name, output}]} = outputs, from, n) do
-    with {:ok, output} <- Output.add_demand(output, from, n),
-         do: {:ok, %{outputs | own: [{name, output}]}}
+  def add_demand(%__MODULE__{own: [{name, output}], dispatcher: dispatcher} = outputs, from, n) do
+    case Output.add_demand(output, from, n) do
+      {:ok, output} -> {:ok, %{outputs | own: [{name, output}]}}
+      :error when dispatcher == nil -> :error
+      :error -> add_outside_demand(outputs, from, n)
+    end
   end
 
   def add_demand(%__MODULE__{own: own} = outputs, from, n),
     do: update_first(own, outputs, &Output.add_demand(&1, from, n))
+
+  defp add_outside_demand(outputs, from, n) do
+    with {:ok, dispatcher} <- Dispatcher.add_demand(outputs.dispatcher, from, n),
+         do: {:ok, close_dispatcher(%{outputs | dispatcher: dispatcher})}
+  end
+
+  @doc "Adds a consumer outside the pipeline, or returns why it is refused."
+  @spec subscribe(t(), atom(), Subscriber.t(), keyword()) :: {:ok, t()} | {:error, term()}
+  def subscribe(%__MODULE__{dispatcher: nil} = outputs, name, sub, _opts) do
+    {:ok, output} = fetch(outputs, name)
+    {:ok, put(outputs, Output.subscribe(output, sub))}
+  end
+
+  def subscribe(%__MODULE__{dispatcher: dispatcher} = outputs, _name, sub, opts) do
+    with {:ok, dispatcher} <- Dispatcher.subscribe(dispatcher, sub, opts),
+         do: {:ok, close_dispatcher(%{outputs | dispatcher: dispatcher})}
+  end
 
   @doc "Sends a subscriber with a lossy policy the newest messages."
   @spec refresh_subscriber(t(), {pid(), term()}) :: {:ok, t()} | :error
@@ -144,19 +209,32 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
   @spec all_sent?(t()) :: boolean()
-  def all_sent?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.all_sent?(elem(&1, 1)))
+  def all_sent?(%__MODULE__{own: own, dispatcher: dispatcher}) do
+    Enum.all?(own, &Output.all_sent?(elem(&1, 1))) and
+      (dispatcher == nil or Dispatcher.waiting_count(dispatcher) == 0)
+  end
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &match?({_, %{subs: []}}, &1))
+  def drained?(%__MODULE__{own: own, dispatcher: dispatcher}) do
+    Enum.all?(own, &match?({_, %{subs: []}}, &1)) and
+      (dispatcher == nil or Dispatcher.drained?(dispatcher))
+  end
 
   @spec list_subscribers(t()) :: [Subscriber.t()]
-  def list_subscribers(%__MODULE__{own: own}), do: for({_, %{subs: s}} <- own, sub <- s, do: sub)
+  def list_subscribers(%__MODULE__{own: own, dispatcher: nil}),
+    do: for({_, %{subs: s}} <- own, sub <- s, do: sub)
+
+  def list_subscribers(%__MODULE__{dispatcher: dispatcher} = outputs),
+    do: list_subscribers(%{outputs | dispatcher: nil}) ++ dispatcher.consumers
 
   @doc "Returns how many messages wait for demand: the sum of the outputs' largest queues."
   @spec buffered_count(t()) :: non_neg_integer()
-  def buffered_count(%__MODULE__{own: own}),
+  def buffered_count(%__MODULE__{own: own, dispatcher: nil}),
     do: Enum.reduce(own, 0, fn {_, output}, n -> n + Output.buffered_count(output) end)
+
+  def buffered_count(%__MODULE__{own: [{_, output}], dispatcher: dispatcher}),
+    do: Output.buffered_count(output) + Dispatcher.waiting_count(dispatcher)
 
   @doc "Removes subscribers and the messages that wait for them."
   @spec remove_subscribers(t(), (Subscriber.t() -> boolean())) :: t()
@@ -165,8 +243,16 @@ defmodule Situ.Ports.Outputs do
         which?.(sub),
         do: Process.demonitor(ref, [:flush])
 
-    map_outputs(outputs, &Output.cancel_subscribers(&1, which?))
+    outputs = map_outputs(outputs, &Output.cancel_subscribers(&1, which?))
+    if outputs.dispatcher == nil, do: outputs, else: remove_outside(outputs, which?)
   end
+
+  defp remove_outside(outputs, which?),
+    do:
+      close_dispatcher(%{
+        outputs
+        | dispatcher: Dispatcher.remove_consumers(outputs.dispatcher, which?)
+      })
 
   @doc "Ends external consumers with `reason`; internal ones close in their order."
   @spec abandon_external(t(), term(), Situ.Time.t()) :: t()

@@ -4,7 +4,7 @@ defmodule Situ.Stage.ActionRunner do
   alias Situ.{Error, Message}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
-  alias Situ.Ports.{Inputs, Output, Outputs, PostingRules}
+  alias Situ.Ports.{Dispatcher, Inputs, Output, Outputs, PostingRules}
   alias Situ.Stage.{ErrorPolicy, SourceState, Step}
 
   @compile {:inline, fetch_output: 2, put_output: 2}
@@ -115,6 +115,13 @@ defmodule Situ.Stage.ActionRunner do
 
   defp apply_action(step, {:demand, mode}) when mode in [:accumulate, :forward],
     do: {:ok, Step.set_demand(step, mode)}
+
+  defp apply_action(step, {:dispatcher, spec}) do
+    with {:ok, dispatcher} <- Dispatcher.new(spec) do
+      Step.set_patience(step, true)
+      {:ok, %{step | outputs: Outputs.put_dispatcher(step.outputs, dispatcher)}}
+    end
+  end
 
   defp apply_action(step, :stopping),
     do: {:ok, %{step | source: SourceState.mark_stopping(step.source)}}

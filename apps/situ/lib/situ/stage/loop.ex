@@ -169,6 +169,13 @@ defmodule Situ.Stage.Loop do
         else: Step.set_demand(step, :forward)
       )
 
+  defp resume_demand(%{outputs: %{dispatcher: %{discards?: false}}} = step),
+    do:
+      if(Step.final_time(step) == Step.no_final_time(),
+        do: step,
+        else: %{step | outputs: Outputs.discard_unclaimed(step.outputs)}
+      )
+
   defp resume_demand(step), do: step
 
   # Returns how many messages a step may post: none while those before wait for a step after it.

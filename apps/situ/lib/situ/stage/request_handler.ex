@@ -140,10 +140,7 @@ defmodule Situ.Stage.RequestHandler do
   # Subscribers outside the pipeline still receive their remaining messages at their own pace.
   def handle_request(:quit, %{steps: steps} = state) do
     state = state |> release_withheld() |> close_outputs(elem(steps, 0).source.final || 0)
-
-    if State.drained?(state),
-      do: {:stop, :normal, state},
-      else: {:noreply, %{state | quitting: true}}
+    stop_if_drained(%{state | quitting: true})
   end
 
   # The pipeline has failed elsewhere.
@@ -199,7 +196,7 @@ defmodule Situ.Stage.RequestHandler do
     do:
       {:noreply, state |> State.map_steps(&ErrorPolicy.fail_step(&1, error)) |> Loop.run_slice()}
 
-  def handle_request(:clock, state), do: {:noreply, Loop.run_slice(state)}
+  def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_drained()
 
   def handle_request({:peer, tag, pid}, state),
     do: {:noreply, State.replace_neighbour(state, tag, pid)}
@@ -323,6 +320,11 @@ defmodule Situ.Stage.RequestHandler do
       Output.close(output, if(all_count?, do: max(output.last_time || time, time), else: time))
     end)
   end
+
+  defp stop_if_drained(%{quitting: true} = state),
+    do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})
+
+  defp stop_if_drained(state), do: {:noreply, state}
 
   defp apply_actions(state, []), do: state
 

@@ -137,7 +137,7 @@ defmodule Situ.Stage.Step do
   @doc "Sets whether messages are taken and sent."
   @spec set_demand(t(), :accumulate | :forward) :: t()
   def set_demand(%__MODULE__{} = step, mode) do
-    set_patience(step, mode == :accumulate)
+    set_patience(step, mode == :accumulate or step.outputs.dispatcher != nil)
     wake_source(%{step | outputs: %{step.outputs | demand: mode}})
   end
 

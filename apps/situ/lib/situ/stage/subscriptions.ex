@@ -89,14 +89,24 @@ defmodule Situ.Stage.Subscriptions do
       else: state
   end
 
-  defp subscribe(state, {pid, tag} = from, opts) do
-    with :ok <- check_options(opts), {:ok, output} <- State.find_output(state, opts) do
-      add_subscriber(state, output, %{
-        Subscriber.new(tag, pid, nil)
-        | monitor: Process.monitor(pid)
-      })
+  defp subscribe(state, from, opts) do
+    {i, step} = State.last_step(state)
+
+    with :ok <- check_options(opts),
+         {:ok, output} <- State.find_output(state, opts),
+         {:ok, outputs} <- subscribe_consumer(step.outputs, output.port.name, from, opts) do
+      State.put_step(state, i, %{step | outputs: outputs})
     else
       {:error, error} -> refuse(state, from, error)
+    end
+  end
+
+  defp subscribe_consumer(outputs, name, {pid, tag}, opts) do
+    sub = %{Subscriber.new(tag, pid, nil) | monitor: Process.monitor(pid)}
+
+    with {:error, error} <- Outputs.subscribe(outputs, name, sub, opts) do
+      Process.demonitor(sub.monitor, [:flush])
+      {:error, error}
     end
   end
 

@@ -17,6 +17,18 @@ defmodule Situ.Operators.SourcesTest do
       assert Situ.to_list(&Situ.from_enumerable(&1, [], every: 10)) == []
     end
 
+    test "emit the last item of an enumerable that ends with it" do
+      for items <- [
+            Stream.take(Stream.cycle(1..3), 7),
+            Stream.map(1..3, & &1),
+            Stream.take(1..3, 0)
+          ],
+          do:
+            assert(
+              Situ.to_list(&Situ.from_enumerable(&1, items, every: 10)) == Enum.to_list(items)
+            )
+    end
+
     test "skip items before the replay's start and stop at its end" do
       replay = [interval: {10, 30}, speed: :max]
       items = for t <- 0..50//5, do: {t, t}

@@ -35,6 +35,13 @@ defmodule Situ.Store.Exporter do
                          "Store the sorted keys of the stream's maps in its metadata under `\"keys\"`, so that a " <>
                            "viewer can offer them without reading the recording."
                      ],
+                     after_commit: [
+                       type: :boolean,
+                       default: false,
+                       doc:
+                         "Return the messages once they are committed, instead of the given stream. Every " <>
+                           "delivery is then committed immediately."
+                     ],
                      policy: [
                        type: :any,
                        doc:
@@ -182,8 +189,15 @@ defmodule Situ.Store.Exporter do
   defp write_segmented(stream, exporter, name, of_stream, opts) do
     {rotation, cut} = exporter.rotation
     given = [rotation: {rotation, cut, name, of_stream}, envelopes: opts[:envelopes]]
-    Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component_options(name, opts))
-    stream
+    add_sink(stream, exporter, given ++ component_options(name, opts), opts)
+  end
+
+  defp add_sink(stream, exporter, component, opts) do
+    pass? = opts[:after_commit]
+    outputs = if pass?, do: [outputs: [out: stream.type]], else: []
+    own = [eager: exporter.eager or pass?, pass: pass?] ++ outputs
+    written = Situ.via(stream, Sink, own ++ component)
+    if pass?, do: written, else: stream
   end
 
   defp write_single_store(stream, exporter, name, of_stream, opts) do
@@ -193,9 +207,8 @@ defmodule Situ.Store.Exporter do
       {:ok, writer_stream} ->
         SharedWriter.add_user(shared)
         given = [shared: shared, stream: writer_stream, envelopes: opts[:envelopes]]
-        Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component_options(name, opts))
         if opts[:keys], do: record_keys(stream, shared, writer_stream, opts[:metadata])
-        stream
+        add_sink(stream, exporter, given ++ component_options(name, opts), opts)
 
       {:error, error} ->
         raise error

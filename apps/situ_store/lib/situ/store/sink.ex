@@ -14,6 +14,7 @@ defmodule Situ.Store.Sink do
       stream: [type: :any, default: nil, doc: "The `Situ.Store.Writer.Stream`."],
       envelopes: [type: :boolean, default: false, doc: "Write only the envelopes."],
       eager: [type: :boolean, default: false, doc: "Commit every delivery immediately."],
+      pass: [type: :boolean, default: false, doc: "Emit the messages that are committed."],
       rotation: [
         type: :any,
         default: nil,
@@ -40,11 +41,13 @@ defmodule Situ.Store.Sink do
     :eager,
     :rotation,
     :segment,
+    :pass,
     held: %{},
     pending: [],
     count: 0,
     bytes: 0,
     plain: true,
+    fresh: true,
     timer: nil
   ]
 
@@ -57,7 +60,8 @@ defmodule Situ.Store.Sink do
        draft: new_draft(opts),
        envelopes: opts[:envelopes],
        eager: opts[:eager],
-       rotation: opts[:rotation]
+       rotation: opts[:rotation],
+       pass: opts[:pass]
      }}
   end
 
@@ -68,8 +72,16 @@ defmodule Situ.Store.Sink do
   def handle_message(:in, message, context, state),
     do: handle_messages(:in, [message], context, state)
 
+  # Every delivery is committed immediately, so all messages before these are committed too.
   @impl true
-  def handle_messages(:in, messages, _context, %{rotation: {_, cut, _, _}} = state) do
+  def handle_messages(:in, messages, _context, %{pass: true} = state) do
+    {[], state} = write_messages(messages, state)
+    {[{:out, messages}], state}
+  end
+
+  def handle_messages(:in, messages, _context, state), do: write_messages(messages, state)
+
+  defp write_messages(messages, %{rotation: {_, cut, _, _}} = state) do
     messages
     |> Enum.map(&{SplitPoint.segment_number(cut, &1.originating_time), &1})
     |> Enum.chunk_by(&elem(&1, 0))
@@ -83,7 +95,7 @@ defmodule Situ.Store.Sink do
     end)
   end
 
-  def handle_messages(:in, messages, _context, state), do: buffer_messages(messages, state)
+  defp write_messages(messages, state), do: buffer_messages(messages, state)
 
   # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
   defp enter_segment(%{rotation: {rotation, _cut, name, opts}} = state, number) do
@@ -214,9 +226,20 @@ defmodule Situ.Store.Sink do
     put_stream(state, unwrap!(append_pending(state)))
   end
 
+  # This process replaces one that had committed these messages and died before they counted as handled.
+  defp finish_append(
+         %{fresh: true, rotation: nil} = state,
+         {:error, %{code: :not_increasing, meta: %{last: last}}}
+       ) do
+    later? = &(&1.originating_time > last)
+    batches = for batch <- state.pending, do: Enum.filter(batch, later?)
+    state = %{state | fresh: false, pending: Enum.reject(batches, &(&1 == []))}
+    put_stream(state, unwrap!(append_pending(state)))
+  end
+
   defp finish_append(state, result), do: put_stream(state, unwrap!(result))
 
-  defp put_stream(%{rotation: nil} = state, stream), do: {state, stream}
+  defp put_stream(%{rotation: nil} = state, stream), do: {%{state | fresh: false}, stream}
 
   defp put_stream(%{rotation: {rotation, cut, _, _}} = state, stream) do
     Rotation.report_append(rotation, cut, state.segment, latest_time(state.pending))
