@@ -17,13 +17,13 @@ defmodule Situ.Stage do
   # pipeline's server and sends `{:situ_stage, id, event}` to it.
   use GenServer
 
-  alias Situ.Clock
+  alias Situ.{Clock, Runtime}
   alias Situ.Component.Callback
   alias Situ.Ports.Outputs
   alias Situ.Stage.{Loop, RequestHandler, State, Step, Subscriptions}
 
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
-  @slow :erlang.convert_time_unit(1, :millisecond, :native)
+  @slow_ns 1_000_000
 
   @doc "Returns the value that the control cell has until the pipeline stops: no final time is set."
   @spec no_final_time() :: integer()
@@ -37,7 +37,7 @@ defmodule Situ.Stage do
   @spec spawn_link(map()) :: pid()
   def spawn_link(args),
     do:
-      :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [
+      Runtime.spawn(:proc_lib, hd(args.vertices).path, {__MODULE__, :init_it, [args]}, [
         :link,
         fullsweep_after: 30,
         min_heap_size: 4_181
@@ -52,7 +52,7 @@ defmodule Situ.Stage do
     case Subscriptions.start_component(state) do
       {:ok, state} ->
         report(state, :up)
-        :gen_server.enter_loop(__MODULE__, [], state)
+        Runtime.enter_loop(__MODULE__, state)
 
       {:error, error} ->
         report(state, {:init_failed, error})
@@ -147,9 +147,9 @@ defmodule Situ.Stage do
   def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
 
   def handle_info(message, state) do
-    started = :erlang.monotonic_time()
+    started = State.monotonic_time(state)
     state = Loop.handle_plain_message(state, message)
-    slow? = :erlang.monotonic_time() - started > @slow
+    slow? = State.monotonic_time(state) - started > @slow_ns
     {:noreply, if(slow?, do: RequestHandler.handle_overtaking(state), else: state)}
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
   # Spawns, wires and measures the processes of a pipeline. Carries out the decisions of the life cycle.
-  alias Situ.{Clock, Lifecycle, Stage}
+  alias Situ.{Clock, Lifecycle, Runtime, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
@@ -367,7 +367,7 @@ defmodule Situ.Pipeline.Stages do
 
   defp stage_idle?(stage) do
     case Process.info(stage.pid, [:message_queue_len, :current_function]) do
-      [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
+      [message_queue_len: 0, current_function: {module, _, _}] -> module == Runtime.loop_module()
       nil -> true
       _ -> false
     end

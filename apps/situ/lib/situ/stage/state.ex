@@ -2,7 +2,7 @@ defmodule Situ.Stage.State do
   @moduledoc false
   # The state of a stage: its steps in the order in which messages pass through them, and what concerns its mailbox.
   # Messages between two steps go from the output of one to the input of the other without a queue between processes.
-  alias Situ.{Delivery, Error}
+  alias Situ.{Delivery, Error, Runtime}
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Input, Output, Outputs, Subscriber}
   alias Situ.Stage.{ErrorPolicy, Step}
@@ -42,6 +42,7 @@ defmodule Situ.Stage.State do
       owner: {args.server, args.id},
       errors: args.tally,
       restarts?: args[:marks] != nil,
+      simulated?: Runtime.simulated?(),
       clock: nil,
       control: nil
     }
@@ -69,6 +70,10 @@ defmodule Situ.Stage.State do
   end
 
   defp connect_steps(state, _args), do: state
+
+  @doc "Returns the monotonic time, ns; see `Situ.Stage.Step.monotonic_time/1`."
+  @spec monotonic_time(t()) :: integer()
+  def monotonic_time(%__MODULE__{steps: steps}), do: Step.monotonic_time(elem(steps, 0))
 
   @doc "Returns the component or the first operator of the stage."
   @spec head_vertex(t()) :: Vertex.t()

@@ -86,7 +86,7 @@ defmodule Situ.Stage.StepRunner do
         cond do
           is_tuple(entry) -> {:more, step, n}
           step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
-          past?(deadline) -> {:yield, step, n + 1}
+          past?(step, deadline) -> {:yield, step, n + 1}
           Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
           true -> run_singly(step, most, deadline, n + 1)
         end
@@ -96,7 +96,7 @@ defmodule Situ.Stage.StepRunner do
     end
   end
 
-  defp past?(deadline), do: :erlang.monotonic_time(:nanosecond) > deadline
+  defp past?(step, deadline), do: Step.monotonic_time(step) > deadline
 
   # Under a lossy policy, messages in the mailbox join the queue before the next message is taken.
   defp run_newest(step, input, started) do
