@@ -15,6 +15,8 @@ defmodule Situ.Simulation.Scheduler do
   @kill_odds 32
   # Turns after the function has returned, for processes that are about to end.
   @most_after 10_000
+  # A turn that takes this long (of real time) does not end.
+  @longest_turn_us 30_000_000
 
   @enforce_keys [:shared, :processes, :max_steps]
   defstruct [
@@ -24,7 +26,9 @@ defmodule Situ.Simulation.Scheduler do
     timers: %Timers{},
     kills: [],
     step: 0,
+    client: nil,
     outcome: nil,
+    deviations: 0,
     trace: []
   ]
 
@@ -33,12 +37,12 @@ defmodule Situ.Simulation.Scheduler do
   @type outcome ::
           {:returned, term()}
           | {:raised, :error | :exit | :throw, term(), list()}
-          | {:deadlock, [map()]}
-          | {:endless, [map()]}
+          | {:deadlock, [{String.t(), String.t()}]}
+          | {:endless, [{String.t(), String.t()}]}
 
   @doc "Runs `fun` in a simulated process until it returns; must be called in a process of its own."
-  @spec run((() -> term()), Choices.t(), keyword()) :: map()
-  def run(fun, choices, opts) do
+  @spec run((() -> term()), Choices.t(), map()) :: map()
+  def run(fun, choices, settings) do
     time = :atomics.new(1, signed: true)
     :atomics.put(time, 1, @start_time)
 
@@ -47,18 +51,18 @@ defmodule Situ.Simulation.Scheduler do
       scheduler: self(),
       time: time,
       choices: choices,
-      traced?: opts[:trace]
+      traced?: settings.trace?
     }
 
     state = %__MODULE__{
       shared: shared,
       processes: %Processes{},
-      max_steps: opts[:max_steps],
-      kills: Enum.sort(opts[:kill])
+      max_steps: settings.max_steps,
+      kills: Enum.sort(settings.kill)
     }
 
-    Shell.spawn(shared, :erlang, "test", {{__MODULE__, :run_client, [shared, fun]}, []})
-    state |> receive_report(:over) |> loop() |> finish()
+    client = Shell.spawn(shared, :erlang, "test", {{__MODULE__, :run_client, [shared, fun]}, []})
+    %{state | client: client} |> receive_report(:over) |> loop() |> finish()
   end
 
   @doc false
@@ -96,9 +100,9 @@ defmodule Situ.Simulation.Scheduler do
 
     %{
       outcome: outcome,
-      choices: Choices.to_list(state.shared.choices),
+      choices: Choices.deviations(state.shared.choices),
       trace: Enum.reverse(state.trace),
-      steps: state.step,
+      turns: state.step,
       time: now(state) - @start_time
     }
   end
@@ -205,8 +209,8 @@ defmodule Situ.Simulation.Scheduler do
       report when elem(report, 0) == ref ->
         state |> handle_report(report) |> receive_report(turn)
 
-      {:DOWN, _monitor, :process, pid, _reason} ->
-        state = forget_dead(state, pid)
+      {:DOWN, _monitor, :process, pid, reason} ->
+        state = forget_dead(state, pid, reason)
         receive_report(state, if(match?({^pid, _, _}, turn), do: :over, else: turn))
     after
       wait_ms(turn) -> continue_wait(state, turn)
@@ -225,6 +229,9 @@ defmodule Situ.Simulation.Scheduler do
     case Processes.suspend_waiting(state.processes, pid, div(elapsed, 1_000)) do
       {:waiting, processes} ->
         add_step(%{state | processes: processes}, pid, {:waits, kind})
+
+      _busy_or_outside when elapsed > @longest_turn_us ->
+        %{state | outcome: {:endless, Processes.describe(state.processes)}}
 
       _busy_or_outside ->
         if elapsed < 1_000, do: :erlang.yield(), else: Process.sleep(1)
@@ -256,7 +263,7 @@ defmodule Situ.Simulation.Scheduler do
   defp await_death(state, pid) do
     if Processes.member?(state.processes, pid) do
       receive do
-        {:DOWN, _monitor, :process, ^pid, _reason} -> forget_dead(state, pid)
+        {:DOWN, _monitor, :process, ^pid, reason} -> forget_dead(state, pid, reason)
       end
     else
       state
@@ -264,12 +271,18 @@ defmodule Situ.Simulation.Scheduler do
   end
 
   # The end of a process is complete when every other process has its signals.
-  defp forget_dead(state, pid) do
-    state = add_step(state, pid, :ended)
+  defp forget_dead(state, pid, reason) do
+    state = state |> add_step(pid, :ended) |> end_client(pid, reason)
     processes = Processes.delete(state.processes, pid)
     Processes.await_signals(processes, pid)
     %{state | processes: processes, timers: Timers.delete_process(state.timers, pid)}
   end
+
+  # A process that is linked to it has failed.
+  defp end_client(%{client: pid, outcome: nil} = state, pid, reason),
+    do: %{state | outcome: {:raised, :exit, reason, []}}
+
+  defp end_client(state, _pid, _reason), do: state
 
   defp add_handled(state, _pid, nil), do: state
   defp add_handled(state, pid, message), do: add_step(state, pid, {:handled, message})
@@ -277,7 +290,14 @@ defmodule Situ.Simulation.Scheduler do
   defp add_step(%{shared: %{traced?: false}} = state, _pid, _event), do: state
 
   defp add_step(%{processes: processes} = state, pid, event) do
-    step = {Processes.name(processes, pid), Trace.describe(event, processes.names)}
-    %{state | trace: [step | state.trace]}
+    deviations = Choices.count_deviations(state.shared.choices)
+
+    step = %{
+      process: Processes.name(processes, pid),
+      event: Trace.describe(event, processes.names),
+      unusual?: deviations > state.deviations
+    }
+
+    %{state | trace: [step | state.trace], deviations: deviations}
   end
 end

@@ -4,8 +4,6 @@ defmodule Situ.Simulation.Trace do
   # schedule has the same trace in every run.
   alias Situ.Delivery.Batch
 
-  @typedoc "The name of a process, and what it has done."
-  @type step :: {String.t(), String.t()}
   @type names :: %{pid() => String.t()}
 
   @spec describe(term(), names()) :: String.t()
@@ -106,14 +104,4 @@ defmodule Situ.Simulation.Trace do
   defp replace(term, _names, _depth), do: term
 
   defp name(names, pid), do: Map.get(names, pid, "a process outside")
-
-  @doc "Returns the steps, one per line."
-  @spec format([step()]) :: String.t()
-  def format(steps) do
-    steps
-    |> Enum.with_index(1)
-    |> Enum.map_join("\n", fn {{name, event}, i} ->
-      String.pad_leading("#{i}", 5) <> "  #{name} #{event}"
-    end)
-  end
 end

@@ -1,0 +1,35 @@
+defmodule Situ.Simulation.Result do
+  @moduledoc """
+  The result of a simulation, from `Situ.Simulation.run/2`.
+
+  - `value`: what the function returned; `nil` if it failed.
+  - `failure`: the `Situ.Simulation.Failure`, or `nil`.
+  - `steps`: what happened, in order. The process is the path of a component, the name of a pipeline, or `"test"` for
+    the function. A step is `unusual?` if the schedule left the usual course at or just before it.
+  - `choices`: the deviations of the schedule from the usual course, which `Situ.Simulation.run/2` replays.
+  - `turns`: how often a process had its turn. `time`: how much virtual time has passed, ns.
+  """
+  @enforce_keys [:value, :failure, :steps, :choices, :turns, :time]
+  defstruct [:value, :failure, :steps, :choices, :turns, :time]
+
+  @type step :: %{process: String.t(), event: String.t(), unusual?: boolean()}
+  @type t :: %__MODULE__{
+          value: term(),
+          failure: Situ.Simulation.Failure.t() | nil,
+          steps: [step()],
+          choices: %{pos_integer() => pos_integer()},
+          turns: non_neg_integer(),
+          time: Situ.Time.duration()
+        }
+
+  @doc "Returns the steps as text, one per line; `*` marks the unusual ones."
+  @spec format_steps(t()) :: String.t()
+  def format_steps(%__MODULE__{steps: steps}) do
+    steps
+    |> Enum.with_index(1)
+    |> Enum.map_join("\n", fn {step, i} ->
+      mark = if step.unusual?, do: "*", else: " "
+      "#{String.pad_leading("#{i}", 5)} #{mark} #{step.process} #{step.event}"
+    end)
+  end
+end
