@@ -70,12 +70,14 @@ defmodule Situ.Lifecycle.Startup do
     update_member(state, id, &%{&1 | again?: false})
   end
 
-  # If the previous process received the closing mark, the new one needs it again.
-  defp replay_closing_mark({tag, _link}, state, id) do
-    case state.links.closing do
-      %{^tag => time} -> send_to_stages(state, [id], {:peer_gone, tag, time})
-      _ -> state
-    end
+  # If the previous process received the closing mark, the new one needs it again. A live producer sends it, after the
+  # messages that the previous process had not handled.
+  defp replay_closing_mark({tag, link}, state, id) do
+    time = state.links.closing[tag]
+
+    if time != nil and not state.stages[link.from].alive?,
+      do: send_to_stages(state, [id], {:peer_gone, tag, time}),
+      else: state
   end
 
   defp list_neighbours(state, id),

@@ -317,6 +317,21 @@ defmodule Situ.Ports.Output do
     end
   end
 
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{subs: subs}), do: Enum.all?(subs, & &1.closed)
+
+  @doc "Replaces the process of the consumer with this tag. A closing mark is sent again, after its messages."
+  @spec replace_consumer(t(), term(), pid()) :: t()
+  def replace_consumer(%__MODULE__{} = output, tag, pid) do
+    output = map_tagged(output, tag, &Subscriber.replace_consumer(&1, pid))
+
+    case output.ending do
+      {:closed, time} when output.subs != [] -> finish(%{output | ending: {:closing, time}})
+      _open_or_closing -> finish(output)
+    end
+  end
+
   @doc "Updates every subscriber with this tag."
   @spec map_tagged(t(), term(), (Subscriber.t() -> Subscriber.t())) :: t()
   def map_tagged(%__MODULE__{subs: subs} = output, tag, fun),
@@ -373,10 +388,9 @@ defmodule Situ.Ports.Output do
 
   # Sends the closing mark to the subscribers that have received all their messages.
   defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
-    {done, waiting} = Enum.split_with(output.subs, &(&1.size == 0))
-    Enum.each(done, &Subscriber.send_close(&1, time))
-    ending = if waiting == [], do: {:closed, time}, else: output.ending
-    %{output | subs: waiting, ending: ending}
+    close = &if(&1.size == 0 and not &1.closed, do: Subscriber.close(&1, time), else: [&1])
+    output = %{output | subs: Enum.flat_map(output.subs, close)}
+    if drained?(output), do: %{output | ending: {:closed, time}}, else: output
   end
 
   defp send_closing(output), do: output

@@ -142,13 +142,18 @@ defmodule Situ.Ports.Outputs do
   def map_tagged(%__MODULE__{} = outputs, tag, fun),
     do: map_outputs(outputs, &Output.map_tagged(&1, tag, fun))
 
+  @doc "Replaces the process of the consumer with this tag."
+  @spec replace_consumer(t(), term(), pid()) :: t()
+  def replace_consumer(%__MODULE__{} = outputs, tag, pid),
+    do: map_outputs(outputs, &Output.replace_consumer(&1, tag, pid))
+
   @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
   @spec all_sent?(t()) :: boolean()
   def all_sent?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.all_sent?(elem(&1, 1)))
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &match?({_, %{subs: []}}, &1))
+  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.drained?(elem(&1, 1)))
 
   @spec list_subscribers(t()) :: [Subscriber.t()]
   def list_subscribers(%__MODULE__{own: own}), do: for({_, %{subs: s}} <- own, sub <- s, do: sub)

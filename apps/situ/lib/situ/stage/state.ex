@@ -240,10 +240,7 @@ defmodule Situ.Stage.State do
         {i, input} -> put_input(state, i, Input.replace_producer(input, pid))
       end
 
-    map_outputs(
-      state,
-      &Outputs.map_tagged(&1, tag, fn sub -> Subscriber.replace_consumer(sub, pid) end)
-    )
+    map_outputs(state, &Outputs.replace_consumer(&1, tag, pid))
   end
 
   @spec put_input(t(), non_neg_integer(), Input.t()) :: t()
