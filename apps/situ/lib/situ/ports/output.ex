@@ -114,8 +114,13 @@ defmodule Situ.Ports.Output do
   end
 
   defp record_sent(%{port: %{mark: nil}} = output), do: output
+  # The messages still have to pass through another step of the stage.
+  defp record_sent(%{subs: [%{demand: :local} | _]} = output), do: output
+  defp record_sent(output), do: record_progress(output)
 
-  defp record_sent(%{port: %{mark: {marks, base}}} = output) do
+  @doc "Records that everything posted has left the stage, if nothing waits for the demand of a subscriber."
+  @spec record_progress(t()) :: t()
+  def record_progress(%__MODULE__{port: %{mark: {marks, base}}} = output) do
     if all_sent?(output),
       do: for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3)))
 

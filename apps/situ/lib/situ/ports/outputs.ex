@@ -151,6 +151,11 @@ defmodule Situ.Ports.Outputs do
   @spec all_sent?(t()) :: boolean()
   def all_sent?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.all_sent?(elem(&1, 1)))
 
+  @doc "Records that everything posted has left the stage."
+  @spec record_progress(t()) :: t()
+  def record_progress(%__MODULE__{} = outputs),
+    do: map_outputs(outputs, &Output.record_progress/1)
+
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
   def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.drained?(elem(&1, 1)))

@@ -203,9 +203,16 @@ defmodule Situ.Stage.StepRunner do
     outputs = Outputs.flush(step.outputs, step.context.now)
     step = %{step | outputs: outputs}
 
-    if restarts? and not (all_sent? and Outputs.all_sent?(outputs)),
-      do: step,
-      else: publish_counts(step)
+    cond do
+      not restarts? ->
+        publish_counts(step)
+
+      all_sent? and Outputs.all_sent?(outputs) ->
+        publish_counts(%{step | outputs: Outputs.record_progress(outputs)})
+
+      true ->
+        step
+    end
   end
 
   defp publish_counts(%{work: %{spent: spent} = work} = step) do
