@@ -91,6 +91,8 @@ defmodule Situ.Ports.Output do
 
   def attach_marks(%__MODULE__{port: port} = output, marks, index) do
     output = %{output | port: %{port | mark: {marks, index * 6}}}
+    # What the previous process had posted, but not sent, is posted again.
+    for i <- 1..3, do: :atomics.put(marks, index * 6 + i + 3, :atomics.get(marks, index * 6 + i))
 
     case :atomics.get(marks, index * 6 + 3) do
       0 ->
