@@ -80,19 +80,26 @@ defmodule Situ.Stage.StepRunner do
   defp run_singly(step, most, deadline, n) do
     case Inputs.earliest_input(step.inputs) do
       %{lossy: nil} = input when n < most ->
-        {entry, input} = Input.pop(input, 0)
-        step = step |> Step.put_input(input) |> handle_entry(input, entry)
-
-        cond do
-          is_tuple(entry) -> {:more, step, n}
-          step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
-          past?(step, deadline) -> {:yield, step, n + 1}
-          Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
-          true -> run_singly(step, most, deadline, n + 1)
+        case Input.pop(input, 0) do
+          # What the messages before it have become leaves the stage first.
+          {entry, _input} when is_tuple(entry) and n > 0 -> {:more, step, n}
+          {entry, input} -> run_single(step, {input, entry}, most, deadline, n)
         end
 
       _none_or_lossy_or_enough ->
         {:more, step, n}
+    end
+  end
+
+  defp run_single(step, {input, entry}, most, deadline, n) do
+    step = step |> Step.put_input(input) |> handle_entry(input, entry)
+
+    cond do
+      is_tuple(entry) -> {:more, step, n}
+      step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
+      past?(step, deadline) -> {:yield, step, n + 1}
+      Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
+      true -> run_singly(step, most, deadline, n + 1)
     end
   end
 
