@@ -31,14 +31,15 @@ defmodule Situ.Simulation do
     `context.now`, and seed `:rand` inside the function.
   - Clocks must be created inside the function, as their time is that of the simulation.
   - Calls to processes outside the simulation (an `Agent`, a database) work. The simulation waits for their reply.
-  - Processes that your own components spawn are not simulated. Prefer `Situ.map_async/3`, whose jobs are.
+  - Processes that you spawn yourself are not simulated, except with `spawn_process/2`. The jobs of `Situ.map_async/3`
+    are.
   - A `receive` with `after`, `Process.sleep/1` and `Process.send_after/3` wait for real time. Use timers of the
     pipeline (`{:timer, key, time}`, `Situ.timer/3`), which follow virtual time.
   - Log messages of simulated processes are dropped.
 
   The [guide](simulation.md) shows how to test a pipeline of your own.
   """
-  alias Situ.Options
+  alias Situ.{Options, Runtime}
   alias Situ.Simulation.{Choices, Failure, Result, Scheduler, Shrinker}
 
   @common [
@@ -104,6 +105,14 @@ defmodule Situ.Simulation do
 
     :ok
   end
+
+  @doc """
+  Starts a process of the simulation, linked to the caller, for example to change a pipeline while the function does
+  something else. `name` is its name in the steps. Outside a simulation it is an ordinary process.
+  """
+  @spec spawn_process(String.t(), (() -> term())) :: pid()
+  def spawn_process(name, fun) when is_binary(name) and is_function(fun, 0),
+    do: Runtime.spawn(:erlang, name, {:erlang, :apply, [fun, []]}, [:link])
 
   defp raise_shrunk(fun, choices, %{failure: failure} = result, opts) do
     fails? = fn deviations ->
