@@ -12,7 +12,7 @@ defmodule Situ.Runtime do
               pid() | {pid(), reference()}
   @callback start(term(), :start | :start_link, String.t(), mfa_args()) :: term()
   @callback enter_loop(term(), module(), state :: term()) :: no_return()
-  @callback send_after(term(), term(), non_neg_integer()) :: reference()
+  @callback send_after(term(), term(), non_neg_integer(), :wait | :background) :: reference()
   @callback cancel_timer(term(), reference()) :: term()
   @callback monotonic_time(term()) :: integer()
   @callback wall_cells(term()) :: term()
@@ -69,12 +69,15 @@ defmodule Situ.Runtime do
     end
   end
 
-  @doc "Sends a message to the calling process after `ms`."
-  @spec send_after(term(), non_neg_integer()) :: reference()
-  def send_after(message, ms) do
+  @doc """
+  Sends a message to the calling process after `ms`. A `:background` timer only observes: a pipeline in which nothing
+  else is to happen is deadlocked.
+  """
+  @spec send_after(term(), non_neg_integer(), :wait | :background) :: reference()
+  def send_after(message, ms, kind \\ :wait) do
     case shell() do
       nil -> Process.send_after(self(), message, ms)
-      {shell, simulation} -> shell.send_after(simulation, message, ms)
+      {shell, simulation} -> shell.send_after(simulation, message, ms, kind)
     end
   end
 

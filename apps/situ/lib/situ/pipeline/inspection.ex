@@ -74,7 +74,7 @@ defmodule Situ.Pipeline.Inspection do
   @doc "Records the totals now and every half averaging span, so that averages never cover a much older span."
   @spec observe_totals(State.t()) :: State.t()
   def observe_totals(%{view: %{averages: %{span: span}}} = state) do
-    Runtime.send_after(:situ_observe, max(div(span, 2_000_000), @least_ms))
+    Runtime.send_after(:situ_observe, max(div(span, 2_000_000), @least_ms), :background)
     mark_totals(state)
   end
 

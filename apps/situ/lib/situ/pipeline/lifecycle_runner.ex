@@ -275,7 +275,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
 
   def report_progress(state) do
     if Handlers.any?(state.graph, :progress) do
-      Runtime.send_after(:situ_progress, state.settings.progress_every)
+      Runtime.send_after(:situ_progress, state.settings.progress_every, :background)
       state = Inspection.advance_progress(state)
       call_handlers(state, :progress, state.view.progress)
     else

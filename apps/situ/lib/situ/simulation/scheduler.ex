@@ -85,7 +85,7 @@ defmodule Situ.Simulation.Scheduler do
 
     cond do
       runnable != [] -> state |> choose_turn(runnable) |> loop()
-      not Timers.empty?(state.timers) -> state |> fire_timer() |> loop()
+      Timers.waiting?(state.timers) -> state |> fire_timer() |> loop()
       await_outside(state) -> loop(state)
       true -> %{state | outcome: {:deadlock, Processes.describe(state.processes)}}
     end
@@ -185,7 +185,7 @@ defmodule Situ.Simulation.Scheduler do
     due = Timers.list_next(state.timers, now(state))
     n = length(due)
     choice = if n == 1, do: 0, else: Choices.choose(shared.choices, n, &rem(&1, n))
-    {at, ref, pid, message} = Enum.at(due, choice)
+    {at, {ref, pid, message}} = Enum.at(due, choice)
     :atomics.put(shared.time, 1, max(at, now(state)))
     send(pid, message)
     state = %{state | timers: Timers.delete(state.timers, ref)}
@@ -250,9 +250,9 @@ defmodule Situ.Simulation.Scheduler do
     %{state | processes: Processes.add(processes, pid, label)}
   end
 
-  defp handle_report(state, {_ref, :timer, timer, pid, message, ms}) do
+  defp handle_report(state, {_ref, :timer, kind, ms, timer}) do
     due = now(state) + ms * 1_000_000
-    %{state | timers: Timers.add(state.timers, {due, timer, pid, message})}
+    %{state | timers: Timers.add(state.timers, kind, due, timer)}
   end
 
   defp handle_report(state, {_ref, :cancel, timer}),

@@ -8,7 +8,7 @@ defmodule Situ.Simulation.Shell do
   #                          {ref, :starting}                announces a process that reports `:started` by itself
   #                          {ref, :started, pid, label}
   #                          {ref, :rest, pid, message}      the end of a turn in which it has handled the message
-  #                          {ref, :timer, timer, pid, message, ms}, {ref, :cancel, timer}
+  #                          {ref, :timer, kind, ms, {timer, pid, message}}, {ref, :cancel, timer}
   #
   # A process that waits in the middle of a turn, for the reply to a call or in a `receive` of its own, is suspended by
   # the scheduler (see Scheduler).
@@ -143,9 +143,9 @@ defmodule Situ.Simulation.Shell do
     do: stop(module, reason, state)
 
   @impl true
-  def send_after(%__MODULE__{ref: ref} = simulation, message, ms) do
+  def send_after(%__MODULE__{ref: ref} = simulation, message, ms, kind) do
     timer = make_ref()
-    send(simulation.scheduler, {ref, :timer, timer, self(), message, ms})
+    send(simulation.scheduler, {ref, :timer, kind, ms, {timer, self(), message}})
     timer
   end
 
