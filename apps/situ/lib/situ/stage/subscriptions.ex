@@ -220,9 +220,13 @@ defmodule Situ.Stage.Subscriptions do
   def lend_output(state, name, sub) do
     case State.find_output(state, output: name) do
       {:ok, %{ending: {:closed, time}}} -> {{:closed, time}, state}
-      {:ok, output} -> {{:open, output.last_time}, add_subscriber(state, output, sub)}
+      {:ok, output} -> {{:open, output.last_time}, add_once(state, output, sub)}
     end
   end
+
+  # A stage that was restarted in the meantime has been wired with the new consumer already.
+  defp add_once(state, %{subs: subs} = output, %{tag: tag} = sub),
+    do: if(Enum.any?(subs, &(&1.tag == tag)), do: state, else: add_subscriber(state, output, sub))
 
   @doc "Adds an input if the component accepts it, and requests its first messages."
   @spec attach_input(State.t(), term(), Situ.Time.t() | nil, map()) ::
