@@ -87,14 +87,14 @@ defmodule Situ.Stage do
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> {:noreply, handle_unknown(state, tag, message)}
       found -> state |> Loop.handle_closing(found, closing_time(reason, state)) |> unless_over()
     end
   end
 
   def handle_info({:"$gen_consumer", {_, tag}, batches} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> {:noreply, handle_unknown(state, tag, message)}
       found -> {:noreply, Loop.handle_batches(state, found, batches)}
     end
   end
@@ -158,6 +158,10 @@ defmodule Situ.Stage do
     for %{worker: %Callback{} = worker} <- State.list_steps(state),
         do: Callback.stop_component(worker, reason)
   end
+
+  # Within the pipeline (tags are numbers) it is a last message that has crossed the end of the connection.
+  defp handle_unknown(state, tag, _message) when is_integer(tag), do: state
+  defp handle_unknown(state, _tag, message), do: Loop.handle_plain_message(state, message)
 
   defp unless_over(%{quitting: true} = state),
     do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})

@@ -67,7 +67,16 @@ defmodule Situ.Lifecycle.Startup do
     state =
       Enum.reduce(Links.list_incoming(state.links, id), state, &replay_closing_mark(&1, &2, id))
 
+    state = Enum.reduce(Links.list_outgoing(state.links, id), state, &cut_again(&1, &2, id))
     update_member(state, id, &%{&1 | again?: false})
+  end
+
+  # The stream of an open stage is closing only where it was cut off for a part that is being stopped.
+  defp cut_again({tag, _link}, state, id) do
+    case state.links.closing do
+      %{^tag => time} -> send_to_stages(state, [id], {:cut, tag, time})
+      _open -> state
+    end
   end
 
   # If the previous process received the closing mark, the new one needs it again. A live producer sends it, after the

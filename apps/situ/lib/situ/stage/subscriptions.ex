@@ -224,9 +224,15 @@ defmodule Situ.Stage.Subscriptions do
     end
   end
 
-  # A stage that was restarted in the meantime has been wired with the new consumer already.
-  defp add_once(state, %{subs: subs} = output, %{tag: tag} = sub),
-    do: if(Enum.any?(subs, &(&1.tag == tag)), do: state, else: add_subscriber(state, output, sub))
+  # A stage that was restarted in the meantime has been wired with the new consumer already, or with an earlier one.
+  defp add_once(state, output, %{tag: tag, pid: pid} = sub) do
+    if Enum.any?(output.subs, &match?(%{tag: ^tag, pid: ^pid}, &1)) do
+      state
+    else
+      subs = Enum.reject(output.subs, &(&1.tag == tag))
+      add_subscriber(state, %{output | subs: subs}, sub)
+    end
+  end
 
   @doc "Adds an input if the component accepts it, and requests its first messages."
   @spec attach_input(State.t(), term(), Situ.Time.t() | nil, map()) ::
