@@ -227,14 +227,15 @@ defmodule Situ.LifecycleTest do
     assert life.parts == %{}
   end
 
-  test "a stage that starts while its part is being stopped gets the closing mark again" do
+  test "a stage that starts while its part is being stopped gets the closing mark again from its producer" do
     life = put_in(restarting(true).stages[2].status, :running)
     life = put_in(life.stages[2].alive?, true)
     life = put_in(life.stages[2].again?, true)
     life = put_in(life.stages[3].status, :running)
     opts = %{catch_up: 0, from: :caller}
-    {actions, _life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
-    assert {:tell, 2, {:peer_gone, 1, 9}} in actions
+    {actions, life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
+    assert life.links.closing == %{1 => 9}
+    assert [1, 2] = for({:rewire, 2, links} <- actions, {tag, _link} <- links, do: tag)
   end
 
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
