@@ -5,7 +5,7 @@ defmodule Situ.Simulation.Processes do
 
   # How long (ms) a process may wait for one that is not simulated before the others continue, and how long all wait
   # before the simulation counts as deadlocked.
-  @outside_ms 50
+  @outside_ms 2_000
   @deadlock_ms 500
   @quiet_ms 3
 
@@ -135,7 +135,7 @@ defmodule Situ.Simulation.Processes do
     case Process.info(pid, [:status, :message_queue_len, :current_function, :monitors]) do
       [{:status, :waiting}, {_, n}, {_, function}, {_, monitors}] ->
         cond do
-          function == {Shell, :await_turn, 1} or starting?(processes) -> :busy
+          function == {Shell, :await_turn, 1} or starting?(processes) or reports?() -> :busy
           waits_outside?(processes, function, monitors) and elapsed < @outside_ms -> :outside
           true -> suspend(processes, pid, n)
         end
@@ -144,6 +144,9 @@ defmodule Situ.Simulation.Processes do
         :busy
     end
   end
+
+  # What a process has sent before it began to wait has arrived by now.
+  defp reports?, do: Process.info(self(), :message_queue_len) != {:message_queue_len, 0}
 
   # A call monitors its process. The time of a sleep is not simulated.
   defp waits_outside?(_processes, {:timer, :sleep, 1}, _monitors), do: true
