@@ -172,7 +172,7 @@ defmodule Situ.SimulationTest do
       assert failure.kind == :deadlock
       processes = Map.new(failure.processes)
       assert processes["Numbers"] == "waits for a message"
-      assert processes["Waits"] =~ ~r/^waits in .*SimulationTest.*, \d+ messages? in its mailbox$/
+      assert processes["Waits"] =~ ~r/^waits in .*SimulationTest/
       assert processes["test"] =~ "waits in Situ.Pipeline.Launcher.run/2"
       assert Exception.message(failure) =~ "Waits waits in"
     end
