@@ -3,6 +3,7 @@ defmodule Situ.Runtime do
   # The only way in which the runtime starts processes, enters their loops, sets timers and reads the time. In
   # production these are functions of the VM. A process of a simulation (`Situ.Simulation`) has another module with the
   # same functions in its dictionary, and the processes that it starts inherit it.
+  # See docs/adr/0156-a-simulation-replaces-the-process-shell.md.
   @key :situ_runtime
 
   @typedoc "A module with this behaviour, and its first argument."

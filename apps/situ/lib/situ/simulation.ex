@@ -37,7 +37,7 @@ defmodule Situ.Simulation do
     pipeline (`{:timer, key, time}`, `Situ.timer/3`), which follow virtual time.
   - Log messages of simulated processes are dropped.
 
-  The [guide](simulation.md) shows how to test a pipeline of your own.
+  The guide `docs/guides/simulation.md` shows how to test a pipeline of your own.
   """
   alias Situ.{Options, Runtime}
   alias Situ.Simulation.{Choices, Failure, Result, Scheduler, Shrinker}
@@ -163,8 +163,10 @@ defmodule Situ.Simulation do
 
   defp read_outcome({:returned, value}), do: {value, nil}
 
-  defp read_outcome({:raised, how, reason, stack}),
-    do: {nil, %Failure{kind: :raised, how: how, reason: reason, stacktrace: stack}}
+  defp read_outcome({:raised, how, reason, stack}) do
+    reason = if how == :error, do: Exception.normalize(:error, reason, stack), else: reason
+    {nil, %Failure{kind: :raised, how: how, reason: reason, stacktrace: stack}}
+  end
 
   defp read_outcome({kind, processes}), do: {nil, %Failure{kind: kind, processes: processes}}
 end

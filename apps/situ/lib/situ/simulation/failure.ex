@@ -10,6 +10,9 @@ defmodule Situ.Simulation.Failure do
   """
   alias Situ.Simulation.Result
 
+  # `result.steps` has all of them.
+  @most_steps 150
+
   defexception [
     :kind,
     :reason,
@@ -60,7 +63,7 @@ defmodule Situ.Simulation.Failure do
   defp describe_steps(%{result: result}),
     do:
       "The steps (* marks those that the schedule chose against the usual order):\n\n" <>
-        Result.format_steps(result)
+        Result.format_steps(result, @most_steps)
 
   defp describe_replay(%{seed: seed, choices: choices}) do
     found = if seed, do: "Found with seed: #{seed}. ", else: ""

@@ -22,14 +22,22 @@ defmodule Situ.Simulation.Result do
           time: Situ.Time.duration()
         }
 
-  @doc "Returns the steps as text, one per line; `*` marks the unusual ones."
-  @spec format_steps(t()) :: String.t()
-  def format_steps(%__MODULE__{steps: steps}) do
-    steps
-    |> Enum.with_index(1)
-    |> Enum.map_join("\n", fn {step, i} ->
-      mark = if step.unusual?, do: "*", else: " "
-      "#{String.pad_leading("#{i}", 5)} #{mark} #{step.process} #{step.event}"
-    end)
+  @doc """
+  Returns the steps as text, one per line; `*` marks the unusual ones. With `most`, only the last ones are listed.
+  """
+  @spec format_steps(t(), pos_integer() | :infinity) :: String.t()
+  def format_steps(%__MODULE__{steps: steps}, most \\ :infinity) do
+    # A number is less than any atom.
+    omitted = if length(steps) > most, do: length(steps) - most, else: 0
+
+    lines =
+      steps |> Enum.with_index(1) |> Enum.drop(omitted) |> Enum.map_join("\n", &format_step/1)
+
+    if omitted > 0, do: "      (#{omitted} earlier steps)\n" <> lines, else: lines
+  end
+
+  defp format_step({step, i}) do
+    mark = if step.unusual?, do: "*", else: " "
+    "#{String.pad_leading("#{i}", 5)} #{mark} #{step.process} #{step.event}"
   end
 end
