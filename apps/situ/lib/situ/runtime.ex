@@ -9,21 +9,21 @@ defmodule Situ.Runtime do
   @typedoc "A module with this behaviour, and its first argument."
   @type shell :: {module(), term()}
 
-  @callback spawn(term(), :proc_lib | :erlang, String.t(), {mfa_args(), [term()]}) ::
+  @callback spawn_process(term(), :proc_lib | :erlang, String.t(), {mfa_args(), [term()]}) ::
               pid() | {pid(), reference()}
-  @callback start(term(), :start | :start_link, String.t(), mfa_args()) :: term()
+  @callback start_process(term(), :start | :start_link, String.t(), mfa_args()) :: term()
   @callback enter_loop(term(), module(), state :: term()) :: no_return()
   @callback send_after(term(), term(), non_neg_integer(), :wait | :background) :: reference()
   @callback cancel_timer(term(), reference()) :: term()
   @callback monotonic_time(term()) :: integer()
   @callback wall_cells(term()) :: term()
-  @callback choose(term(), pos_integer()) :: non_neg_integer()
+  @callback choose_number(term(), pos_integer()) :: non_neg_integer()
 
   @type mfa_args :: {module(), atom(), [term()]}
 
   @doc "Returns the module that replaces the VM's functions in this process, or `nil`."
-  @spec shell() :: shell() | nil
-  def shell, do: Process.get(@key)
+  @spec fetch_shell() :: shell() | nil
+  def fetch_shell, do: Process.get(@key)
 
   @doc "Puts the calling process into a simulation."
   @spec put_shell(shell()) :: term()
@@ -31,31 +31,31 @@ defmodule Situ.Runtime do
 
   @doc "Returns whether the calling process belongs to a simulation."
   @spec simulated?() :: boolean()
-  def simulated?, do: shell() != nil
+  def simulated?, do: fetch_shell() != nil
 
   @doc "Spawns a process with `spawn_opt/4` of `:proc_lib` or `:erlang`; `label` names it in a simulation."
-  @spec spawn(:proc_lib | :erlang, String.t(), mfa_args(), [term()]) ::
+  @spec spawn_process(:proc_lib | :erlang, String.t(), mfa_args(), [term()]) ::
           pid() | {pid(), reference()}
-  def spawn(by, label, {module, function, args} = call, opts) do
-    case shell() do
+  def spawn_process(by, label, {module, function, args} = call, opts) do
+    case fetch_shell() do
       nil -> by.spawn_opt(module, function, args, opts)
-      {shell, simulation} -> shell.spawn(simulation, by, label, {call, opts})
+      {shell, simulation} -> shell.spawn_process(simulation, by, label, {call, opts})
     end
   end
 
   @doc "Starts a process that acknowledges its start with `:proc_lib.init_ack/1`."
-  @spec start(:start | :start_link, String.t(), mfa_args()) :: term()
-  def start(how, label, {module, function, args} = call) do
-    case shell() do
+  @spec start_process(:start | :start_link, String.t(), mfa_args()) :: term()
+  def start_process(how, label, {module, function, args} = call) do
+    case fetch_shell() do
       nil -> apply(:proc_lib, how, [module, function, args])
-      {shell, simulation} -> shell.start(simulation, how, label, call)
+      {shell, simulation} -> shell.start_process(simulation, how, label, call)
     end
   end
 
   @doc "Makes the calling process a GenServer with this callback module and state."
   @spec enter_loop(module(), term()) :: no_return()
   def enter_loop(module, state) do
-    case shell() do
+    case fetch_shell() do
       nil -> :gen_server.enter_loop(module, [], state)
       {shell, simulation} -> shell.enter_loop(simulation, module, state)
     end
@@ -64,7 +64,7 @@ defmodule Situ.Runtime do
   @doc "Returns the module in which a GenServer waits for messages."
   @spec loop_module() :: module()
   def loop_module do
-    case shell() do
+    case fetch_shell() do
       nil -> :gen_server
       {shell, _simulation} -> shell
     end
@@ -76,7 +76,7 @@ defmodule Situ.Runtime do
   """
   @spec send_after(term(), non_neg_integer(), :wait | :background) :: reference()
   def send_after(message, ms, kind \\ :wait) do
-    case shell() do
+    case fetch_shell() do
       nil -> Process.send_after(self(), message, ms)
       {shell, simulation} -> shell.send_after(simulation, message, ms, kind)
     end
@@ -85,7 +85,7 @@ defmodule Situ.Runtime do
   @doc "Cancels a timer of the calling process."
   @spec cancel_timer(reference()) :: term()
   def cancel_timer(timer) do
-    case shell() do
+    case fetch_shell() do
       nil -> Process.cancel_timer(timer)
       {shell, simulation} -> shell.cancel_timer(simulation, timer)
     end
@@ -94,7 +94,7 @@ defmodule Situ.Runtime do
   @doc "Returns the monotonic time, ns."
   @spec monotonic_time() :: integer()
   def monotonic_time do
-    case shell() do
+    case fetch_shell() do
       nil -> :erlang.monotonic_time(:nanosecond)
       {shell, simulation} -> shell.monotonic_time(simulation)
     end
@@ -103,18 +103,18 @@ defmodule Situ.Runtime do
   @doc "Returns the cells of the simulation's wall time, or `nil` in production."
   @spec wall_cells() :: term()
   def wall_cells do
-    case shell() do
+    case fetch_shell() do
       nil -> nil
       {shell, simulation} -> shell.wall_cells(simulation)
     end
   end
 
   @doc "Returns a number below `n` that the schedule of a simulation has chosen; 0 in production."
-  @spec choose(pos_integer()) :: non_neg_integer()
-  def choose(n) do
-    case shell() do
+  @spec choose_number(pos_integer()) :: non_neg_integer()
+  def choose_number(n) do
+    case fetch_shell() do
       nil -> 0
-      {shell, simulation} -> shell.choose(simulation, n)
+      {shell, simulation} -> shell.choose_number(simulation, n)
     end
   end
 end

@@ -29,7 +29,7 @@ defmodule Situ.Simulation do
 
   - The function must do the same in every run of a schedule. `:rand` and the system's time differ between runs; use
     `context.now`, and seed `:rand` inside the function.
-  - Clocks must be created inside the function, as their time is that of the simulation.
+  - Clocks must be created inside the function, because they take the time of the simulation.
   - Calls to processes outside the simulation (an `Agent`, a database) work. The simulation waits for their reply.
   - Processes that you spawn yourself are not simulated, except with `spawn_process/2`. The jobs of `Situ.map_async/3`
     are.
@@ -37,7 +37,7 @@ defmodule Situ.Simulation do
     pipeline (`{:timer, key, time}`, `Situ.timer/3`), which follow virtual time.
   - Log messages of simulated processes are dropped.
 
-  The guide `docs/guides/simulation.md` shows how to test a pipeline of your own.
+  The guide `docs/guides/simulation.md` shows how to test your pipelines.
   """
   alias Situ.{Options, Runtime}
   alias Situ.Simulation.{Choices, Failure, Result, Scheduler, Shrinker}
@@ -112,7 +112,7 @@ defmodule Situ.Simulation do
   """
   @spec spawn_process(String.t(), (() -> term())) :: pid()
   def spawn_process(name, fun) when is_binary(name) and is_function(fun, 0),
-    do: Runtime.spawn(:erlang, name, {:erlang, :apply, [fun, []]}, [:link])
+    do: Runtime.spawn_process(:erlang, name, {:erlang, :apply, [fun, []]}, [:link])
 
   defp raise_shrunk(fun, choices, %{failure: failure} = result, opts) do
     fails? = fn deviations ->
@@ -120,7 +120,7 @@ defmodule Situ.Simulation do
       again.failure != nil and failure_key(again.failure) == failure_key(failure)
     end
 
-    shrunk = Shrinker.shrink(result.choices, opts[:shrink], fails?)
+    shrunk = Shrinker.shrink_deviations(result.choices, opts[:shrink], fails?)
     shown = run_schedule(fun, Choices.new(shrunk, choices), opts, true)
     raise_failure(shown, failure, shrunk)
   end
@@ -136,10 +136,10 @@ defmodule Situ.Simulation do
   defp failure_key(%{kind: :raised, how: how, reason: %module{}}), do: {how, module}
   defp failure_key(%{kind: kind, how: how}), do: {kind, how}
 
-  # A process of its own has no other messages.
+  # A new process has no other messages.
   defp run_schedule(fun, choices, opts, trace?) do
     settings = %{kill: opts[:kill], max_steps: opts[:max_steps], trace?: trace?}
-    simulate = fn -> exit({:simulated, Scheduler.run(fun, choices, settings)}) end
+    simulate = fn -> exit({:simulated, Scheduler.run_simulation(fun, choices, settings)}) end
     {pid, monitor} = spawn_monitor(simulate)
 
     receive do

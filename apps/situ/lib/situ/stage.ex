@@ -37,7 +37,7 @@ defmodule Situ.Stage do
   @spec spawn_link(map()) :: pid()
   def spawn_link(args),
     do:
-      Runtime.spawn(:proc_lib, hd(args.vertices).path, {__MODULE__, :init_it, [args]}, [
+      Runtime.spawn_process(:proc_lib, hd(args.vertices).path, {__MODULE__, :init_it, [args]}, [
         :link,
         fullsweep_after: 30,
         min_heap_size: 4_181

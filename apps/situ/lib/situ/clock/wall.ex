@@ -26,7 +26,7 @@ defmodule Situ.Clock.Wall do
   @spec shared_cells() :: cells() | nil
   def shared_cells, do: :persistent_term.get(__MODULE__, nil)
 
-  @doc "Returns the cells that apply to the calling process: those of its simulation, or of the node."
+  @doc "Returns the cells that apply to the calling process: the cells of its simulation, or of the node."
   @spec current_cells() :: cells() | nil
   def current_cells, do: Runtime.wall_cells() || shared_cells()
 

@@ -29,7 +29,7 @@ defmodule Situ.MapAsync.Component do
     me = self()
 
     {pid, ref} =
-      Runtime.spawn(:erlang, "job", {__MODULE__, :run_job, [me, fun, message]}, [:monitor])
+      Runtime.spawn_process(:erlang, "job", {__MODULE__, :run_job, [me, fun, message]}, [:monitor])
 
     if timeout != :infinity, do: Runtime.send_after({:situ_late, ref, pid}, timeout)
     ref
@@ -38,7 +38,13 @@ defmodule Situ.MapAsync.Component do
   @doc false
   # The job ends with the component, even if the component is killed.
   def run_job(component, fun, message) do
-    Runtime.spawn(:erlang, "watch of a job", {__MODULE__, :watch_job, [component, self()]}, [])
+    Runtime.spawn_process(
+      :erlang,
+      "watch of a job",
+      {__MODULE__, :watch_job, [component, self()]},
+      []
+    )
+
     exit({:situ_result, run_function(fun, message)})
   end
 

@@ -18,7 +18,7 @@ defmodule Situ.Pipeline.Handlers do
           pid()
   def call_handlers(nil, job, graph, handle) do
     server = self()
-    process = Runtime.spawn(:proc_lib, "handlers", {__MODULE__, :loop, [server]}, [:link])
+    process = Runtime.spawn_process(:proc_lib, "handlers", {__MODULE__, :loop, [server]}, [:link])
     call_handlers(process, job, graph, handle)
   end
 

@@ -38,7 +38,7 @@ defmodule Situ.Pipeline.Launcher do
 
     call = {__MODULE__, :init_empty, [self(), settings]}
 
-    case Runtime.start(:start, "Pipeline", call) do
+    case Runtime.start_process(:start, "Pipeline", call) do
       {:ok, handle} -> handle
       {:error, %Error{} = error} -> raise error
     end
@@ -61,7 +61,7 @@ defmodule Situ.Pipeline.Launcher do
       origin = if is_atom(spec), do: {spec, opts}
       settings = %{settings | reply: reply && {self(), reply}, origin: origin}
       call = {__MODULE__, :init_it, [self(), spec, opts, settings]}
-      normalize_result(Runtime.start(how, settings.name, call))
+      normalize_result(Runtime.start_process(how, settings.name, call))
     end
   end
 

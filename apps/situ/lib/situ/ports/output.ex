@@ -91,7 +91,7 @@ defmodule Situ.Ports.Output do
 
   def attach_marks(%__MODULE__{port: port} = output, marks, index) do
     output = %{output | port: %{port | mark: {marks, index * 6}}}
-    # What the previous process had posted, but not sent, is posted again.
+    # Messages that the previous process had posted, but not sent, are posted again.
     for i <- 1..3, do: :atomics.put(marks, index * 6 + i + 3, :atomics.get(marks, index * 6 + i))
 
     case :atomics.get(marks, index * 6 + 3) do
@@ -395,7 +395,9 @@ defmodule Situ.Ports.Output do
 
   # Sends the closing mark to the subscribers that have received all their messages.
   defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
-    close = &if(&1.size == 0 and not &1.closed, do: Subscriber.close(&1, time), else: [&1])
+    close =
+      &if(&1.size == 0 and not &1.closed, do: Subscriber.close_consumer(&1, time), else: [&1])
+
     output = %{output | subs: Enum.flat_map(output.subs, close)}
     if drained?(output), do: %{output | ending: {:closed, time}}, else: output
   end

@@ -134,11 +134,11 @@ defmodule Situ.Ports.Subscriber do
   def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
 
   @doc """
-  Sends the closing mark, and returns the subscriber if its process may be replaced: the new process needs the mark again,
-  after the messages that the old one had not handled.
+  Sends the closing mark, and returns the subscriber if its process may be replaced: the new process needs the mark
+  again, after the messages that the old one had not handled.
   """
-  @spec close(t(), Situ.Time.t()) :: [t()]
-  def close(%__MODULE__{} = sub, time) do
+  @spec close_consumer(t(), Situ.Time.t()) :: [t()]
+  def close_consumer(%__MODULE__{} = sub, time) do
     send_close(sub, time)
     if sub.counters == nil or sub.demand == :local, do: [], else: [%{sub | closed: true}]
   end

@@ -51,8 +51,9 @@ defmodule Situ.Simulation.Choices do
   @doc """
   Chooses a number below `n`. In a new schedule, `propose` gets a random number and returns the choice.
   """
-  @spec choose(t(), pos_integer(), (non_neg_integer() -> non_neg_integer())) :: non_neg_integer()
-  def choose(%__MODULE__{} = choices, n, propose) do
+  @spec choose_number(t(), pos_integer(), (non_neg_integer() -> non_neg_integer())) ::
+          non_neg_integer()
+  def choose_number(%__MODULE__{} = choices, n, propose) do
     i = :atomics.add_get(choices.cells, @cursor, 1)
     value = choose_at(choices, i, n, propose)
     if i <= @most, do: :atomics.put(choices.values, i, value)
@@ -67,29 +68,29 @@ defmodule Situ.Simulation.Choices do
 
   defp choose_at(_choices, i, _n, _propose) when i > @most, do: 0
 
-  defp choose_at(%{seed: seed}, i, n, propose), do: min(propose.(random(seed, i)), n - 1)
+  defp choose_at(%{seed: seed}, i, n, propose), do: min(propose.(random_number(seed, i)), n - 1)
 
   @doc "Chooses 0, or once in about `odds` times another number below `n`."
   @spec choose_rarely(t(), pos_integer(), pos_integer()) :: non_neg_integer()
   def choose_rarely(_choices, 1, _odds), do: 0
 
   def choose_rarely(choices, n, odds) do
-    choose(choices, n, fn random ->
+    choose_number(choices, n, fn random ->
       if rem(random, odds) == 0, do: 1 + rem(div(random, odds), n - 1), else: 0
     end)
   end
 
   @doc "Returns a number below 2^32 for a seed and any term."
-  @spec random(integer(), term()) :: non_neg_integer()
-  def random(seed, term), do: :erlang.phash2({seed, term, seed}, 1 <<< 32)
+  @spec random_number(integer(), term()) :: non_neg_integer()
+  def random_number(seed, term), do: :erlang.phash2({seed, term, seed}, 1 <<< 32)
 
   @doc "Returns how many choices were not 0."
   @spec count_deviations(t()) :: non_neg_integer()
   def count_deviations(%__MODULE__{cells: cells}), do: :atomics.get(cells, @deviations)
 
   @doc "Returns the choices that were not 0, by position."
-  @spec deviations(t()) :: deviations()
-  def deviations(%__MODULE__{cells: cells, values: values}) do
+  @spec list_deviations(t()) :: deviations()
+  def list_deviations(%__MODULE__{cells: cells, values: values}) do
     n = min(:atomics.get(cells, @cursor), @most)
     for i <- 1..n//1, value = :atomics.get(values, i), value != 0, into: %{}, do: {i, value}
   end

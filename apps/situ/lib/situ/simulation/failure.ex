@@ -6,7 +6,7 @@ defmodule Situ.Simulation.Failure do
     has not returned), or `:endless` (the simulation took more than `max_steps` turns, or one turn does not end).
   - `reason`: the exception, exit reason or thrown value of `:raised`.
   - `processes`: the state of each process for the other kinds.
-  - `seed` and `choices`: the schedule. `Situ.Simulation.check/2` sets `choices` to those of the shrunk schedule.
+  - `seed` and `choices`: the schedule. `Situ.Simulation.check/2` sets `choices` for the shrunk schedule.
   """
   alias Situ.Simulation.Result
 
@@ -62,7 +62,7 @@ defmodule Situ.Simulation.Failure do
 
   defp describe_steps(%{result: result}),
     do:
-      "The steps (* marks those that the schedule chose against the usual order):\n\n" <>
+      "The steps (* marks the choices against the usual order):\n\n" <>
         Result.format_steps(result, @most_steps)
 
   defp describe_replay(%{seed: seed, choices: choices}) do

@@ -3,7 +3,7 @@ defmodule Situ.Simulation.Processes do
   # The processes of a simulation, as the scheduler sees them.
   alias Situ.Simulation.Shell
 
-  # How long (ms) a process may wait for one that is not simulated before the others continue, and how long all wait
+  # How long (ms) a process may wait for a process outside the simulation before the others continue, and how long all wait
   # before the simulation counts as deadlocked.
   @outside_ms 2_000
   @deadlock_ms 500
@@ -12,14 +12,14 @@ defmodule Situ.Simulation.Processes do
   defstruct by_pid: %{}, order: [], labels: %{}, names: %{}, next: 0, starting: 0
 
   @typedoc """
-  `:new` waits for its first turn. `:rests` waits for a message in its shell. `{:waits, n}` is suspended in a `receive`
-  of its own, after it has seen `n` messages. `{:runs, before}` has a turn.
+  `:new` waits for its first turn. `:rests` waits for a message in its shell. `{:waits, n}` is suspended in another
+  `receive`, after it has seen `n` messages. `{:runs, before}` has a turn.
   """
   @type status ::
           :new | :rests | {:waits, non_neg_integer()} | {:runs, :new | :rests | :waits}
   @typedoc """
-  `order` lists the live processes, the last one that had a turn at the end. `labels` counts the processes of each
-  label, and `names` keeps the names of all processes. `starting` counts those that have not reported yet.
+  `order` lists the live processes, in the order of their last turns. `labels` counts the processes of each
+  label, and `names` keeps the names of all processes. `starting` counts the processes that have not reported yet.
   """
   @type t :: %__MODULE__{
           by_pid: %{pid() => %{id: non_neg_integer(), label: String.t(), status: status()}},
@@ -30,9 +30,9 @@ defmodule Situ.Simulation.Processes do
           starting: non_neg_integer()
         }
 
-  @doc "Adds a process that waits for its first turn. A second one of the same label gets a number."
-  @spec add(t(), pid(), String.t()) :: t()
-  def add(%__MODULE__{next: id, labels: labels} = processes, pid, label) do
+  @doc "Adds a process that waits for its first turn. A second process of the same label gets a number."
+  @spec add_process(t(), pid(), String.t()) :: t()
+  def add_process(%__MODULE__{next: id, labels: labels} = processes, pid, label) do
     Process.monitor(pid)
     count = Map.get(labels, label, 0) + 1
     name = if count > 1, do: "#{label} (#{count})", else: label
@@ -60,17 +60,17 @@ defmodule Situ.Simulation.Processes do
   def member?(%__MODULE__{by_pid: by_pid}, pid), do: is_map_key(by_pid, pid)
 
   @doc "Returns the unique name of a process, also after its end."
-  @spec name(t(), pid()) :: String.t()
-  def name(%__MODULE__{names: names}, pid), do: Map.get(names, pid, "a process outside")
+  @spec process_name(t(), pid()) :: String.t()
+  def process_name(%__MODULE__{names: names}, pid), do: Map.get(names, pid, "a process outside")
 
   @doc "Returns the number of a process: they are numbered in the order of their start."
-  @spec id(t(), pid()) :: non_neg_integer()
-  def id(%__MODULE__{by_pid: by_pid}, pid), do: by_pid[pid].id
+  @spec process_id(t(), pid()) :: non_neg_integer()
+  def process_id(%__MODULE__{by_pid: by_pid}, pid), do: by_pid[pid].id
 
-  @spec label(t(), pid()) :: String.t()
-  def label(%__MODULE__{by_pid: by_pid}, pid), do: by_pid[pid].label
+  @spec process_label(t(), pid()) :: String.t()
+  def process_label(%__MODULE__{by_pid: by_pid}, pid), do: by_pid[pid].label
 
-  @doc "Returns the live processes with one of these labels."
+  @doc "Returns the live processes that have one of these labels."
   @spec list_labelled(t(), [String.t()]) :: [pid()]
   def list_labelled(%__MODULE__{order: order, by_pid: by_pid}, labels) do
     order |> Enum.filter(&(by_pid[&1].label in labels)) |> Enum.sort_by(&by_pid[&1].id)
@@ -84,13 +84,13 @@ defmodule Situ.Simulation.Processes do
     end
   end
 
-  @spec delete(t(), pid()) :: t()
-  def delete(%__MODULE__{} = processes, pid) do
+  @spec delete_process(t(), pid()) :: t()
+  def delete_process(%__MODULE__{} = processes, pid) do
     by_pid = Map.delete(processes.by_pid, pid)
     %{processes | by_pid: by_pid, order: List.delete(processes.order, pid)}
   end
 
-  @doc "Returns the processes that can take a turn, the one that has waited longest first, or one that has died."
+  @doc "Returns the processes that can take a turn, in the order in which they have waited, or a process that has died."
   @spec list_runnable(t()) :: {:ok, [pid()]} | {:died, pid()}
   def list_runnable(%__MODULE__{order: order, by_pid: by_pid}), do: filter(order, by_pid, [])
 
@@ -109,8 +109,8 @@ defmodule Situ.Simulation.Processes do
   defp add_runnable(_status, _n, _pid, runnable), do: runnable
 
   @doc "Grants the process a turn."
-  @spec grant(t(), pid(), reference()) :: {:new | :rests | :waits, t()}
-  def grant(%__MODULE__{by_pid: by_pid, order: order} = processes, pid, ref) do
+  @spec grant_turn(t(), pid(), reference()) :: {:new | :rests | :waits, t()}
+  def grant_turn(%__MODULE__{by_pid: by_pid, order: order} = processes, pid, ref) do
     kind =
       case by_pid[pid].status do
         {:waits, _seen} ->
@@ -145,7 +145,7 @@ defmodule Situ.Simulation.Processes do
     end
   end
 
-  # What a process has sent before it began to wait has arrived by now.
+  # Everything that a process has sent before it began to wait has arrived by now.
   defp reports?, do: Process.info(self(), :message_queue_len) != {:message_queue_len, 0}
 
   # A call monitors its process. The time of a sleep is not simulated.
@@ -210,10 +210,10 @@ defmodule Situ.Simulation.Processes do
   end
 
   @doc "Describes the state of each process."
-  @spec describe(t()) :: [{String.t(), String.t()}]
-  def describe(%__MODULE__{} = processes) do
-    for pid <- Enum.sort_by(processes.order, &id(processes, &1)),
-        do: {name(processes, pid), describe(processes.by_pid[pid].status, pid)}
+  @spec describe_all(t()) :: [{String.t(), String.t()}]
+  def describe_all(%__MODULE__{} = processes) do
+    for pid <- Enum.sort_by(processes.order, &process_id(processes, &1)),
+        do: {process_name(processes, pid), describe(processes.by_pid[pid].status, pid)}
   end
 
   defp describe(status, pid) do

@@ -2,7 +2,7 @@ defmodule Situ.Simulation.Result do
   @moduledoc """
   The result of a simulation, from `Situ.Simulation.run/2`.
 
-  - `value`: what the function returned; `nil` if it failed.
+  - `value`: the result of the function; `nil` if it failed.
   - `failure`: the `Situ.Simulation.Failure`, or `nil`.
   - `steps`: what happened, in order. The process is the path of a component, the name of a pipeline, or `"test"` for
     the function. A step is `unusual?` if the schedule left the usual course at or just before it.

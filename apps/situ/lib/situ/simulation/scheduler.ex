@@ -1,9 +1,9 @@
 defmodule Situ.Simulation.Scheduler do
   @moduledoc false
   # The process that runs a simulation: it grants one process at a time a turn, and the choices decide which. A process
-  # can take a turn when it is new, when it rests and its mailbox has a message, or when it waits in the middle of a turn
-  # and a message has arrived since. Timers fire when nothing else can run, and sometimes earlier; virtual time then
-  # jumps to theirs.
+  # can take a turn when it is new, when it rests and its mailbox has a message, or when it waits in the middle of a
+  # turn and a message has arrived since. Timers fire when nothing else can run, and sometimes earlier; virtual time
+  # then jumps to theirs.
   alias Situ.Simulation.{Choices, Processes, Shell, Timers, Trace}
 
   # Virtual time at the start (2020-01-01), and how much a turn takes at least, ns.
@@ -40,9 +40,9 @@ defmodule Situ.Simulation.Scheduler do
           | {:deadlock, [{String.t(), String.t()}]}
           | {:endless, [{String.t(), String.t()}]}
 
-  @doc "Runs `fun` in a simulated process until it returns; must be called in a process of its own."
-  @spec run((() -> term()), Choices.t(), map()) :: map()
-  def run(fun, choices, settings) do
+  @doc "Runs `fun` in a simulated process until it returns; needs a process without other messages."
+  @spec run_simulation((() -> term()), Choices.t(), map()) :: map()
+  def run_simulation(fun, choices, settings) do
     time = :atomics.new(1, signed: true)
     :atomics.put(time, 1, @start_time)
 
@@ -61,7 +61,9 @@ defmodule Situ.Simulation.Scheduler do
       kills: Enum.sort(settings.kill)
     }
 
-    client = Shell.spawn(shared, :erlang, "test", {{__MODULE__, :run_client, [shared, fun]}, []})
+    client =
+      Shell.spawn_process(shared, :erlang, "test", {{__MODULE__, :run_client, [shared, fun]}, []})
+
     %{state | client: client} |> receive_report(:over) |> loop() |> finish()
   end
 
@@ -78,7 +80,7 @@ defmodule Situ.Simulation.Scheduler do
   end
 
   defp loop(%{step: step, max_steps: most, outcome: nil} = state) when step >= most,
-    do: %{state | outcome: {:endless, Processes.describe(state.processes)}}
+    do: %{state | outcome: {:endless, Processes.describe_all(state.processes)}}
 
   defp loop(%{outcome: nil} = state) do
     {runnable, state} = list_runnable(state)
@@ -87,7 +89,7 @@ defmodule Situ.Simulation.Scheduler do
       runnable != [] -> state |> choose_turn(runnable) |> loop()
       Timers.waiting?(state.timers) -> state |> fire_timer() |> loop()
       await_outside(state) -> loop(state)
-      true -> %{state | outcome: {:deadlock, Processes.describe(state.processes)}}
+      true -> %{state | outcome: {:deadlock, Processes.describe_all(state.processes)}}
     end
   end
 
@@ -100,7 +102,7 @@ defmodule Situ.Simulation.Scheduler do
 
     %{
       outcome: outcome,
-      choices: Choices.deviations(state.shared.choices),
+      choices: Choices.list_deviations(state.shared.choices),
       trace: Enum.reverse(state.trace),
       turns: state.step,
       time: now(state) - @start_time
@@ -143,7 +145,7 @@ defmodule Situ.Simulation.Scheduler do
   end
 
   defp kill(%{kills: kills} = state, pid) do
-    label = Processes.label(state.processes, pid)
+    label = Processes.process_label(state.processes, pid)
     state = add_step(%{state | kills: kills -- [label]}, pid, :killed)
     Process.exit(pid, :kill)
     await_death(state, pid)
@@ -157,7 +159,7 @@ defmodule Situ.Simulation.Scheduler do
     choice =
       if options == 1,
         do: 0,
-        else: Choices.choose(choices, options, &propose(&1, state, runnable))
+        else: Choices.choose_number(choices, options, &propose(&1, state, runnable))
 
     if choice == n, do: fire_timer(state), else: run_turn(state, Enum.at(runnable, choice))
   end
@@ -173,7 +175,7 @@ defmodule Situ.Simulation.Scheduler do
 
   defp preferred_index(seed, %{processes: processes, step: step}, runnable) do
     epoch = div(step, 48)
-    rank = &Choices.random(seed, {:rank, Processes.id(processes, &1), epoch})
+    rank = &Choices.random_number(seed, {:rank, Processes.process_id(processes, &1), epoch})
     {_pid, index} = runnable |> Enum.with_index() |> Enum.max_by(&rank.(elem(&1, 0)))
     index
   end
@@ -184,17 +186,17 @@ defmodule Situ.Simulation.Scheduler do
   defp fire_timer(%{shared: shared} = state) do
     due = Timers.list_next(state.timers, now(state))
     n = length(due)
-    choice = if n == 1, do: 0, else: Choices.choose(shared.choices, n, &rem(&1, n))
+    choice = if n == 1, do: 0, else: Choices.choose_number(shared.choices, n, &rem(&1, n))
     {at, {ref, pid, message}} = Enum.at(due, choice)
     :atomics.put(shared.time, 1, max(at, now(state)))
     send(pid, message)
-    state = %{state | timers: Timers.delete(state.timers, ref)}
+    state = %{state | timers: Timers.delete_timer(state.timers, ref)}
     add_step(state, pid, {:timer, message})
   end
 
   defp run_turn(%{shared: shared} = state, pid) do
     :atomics.add(shared.time, 1, @turn_ns)
-    {kind, processes} = Processes.grant(state.processes, pid, shared.ref)
+    {kind, processes} = Processes.grant_turn(state.processes, pid, shared.ref)
     state = %{state | processes: processes, step: state.step + 1}
     receive_report(state, {pid, kind, System.monotonic_time(:microsecond)})
   end
@@ -231,7 +233,7 @@ defmodule Situ.Simulation.Scheduler do
         add_step(%{state | processes: processes}, pid, {:waits, kind})
 
       _busy_or_outside when elapsed > @longest_turn_us ->
-        %{state | outcome: {:endless, Processes.describe(state.processes)}}
+        %{state | outcome: {:endless, Processes.describe_all(state.processes)}}
 
       _busy_or_outside ->
         if elapsed < 1_000, do: :erlang.yield(), else: Process.sleep(1)
@@ -240,23 +242,23 @@ defmodule Situ.Simulation.Scheduler do
   end
 
   defp handle_report(state, {_ref, :spawned, pid, label}),
-    do: %{state | processes: Processes.add(state.processes, pid, label)}
+    do: %{state | processes: Processes.add_process(state.processes, pid, label)}
 
   defp handle_report(state, {_ref, :starting}),
     do: %{state | processes: Processes.count_starting(state.processes, 1)}
 
   defp handle_report(state, {_ref, :started, pid, label}) do
     processes = Processes.count_starting(state.processes, -1)
-    %{state | processes: Processes.add(processes, pid, label)}
+    %{state | processes: Processes.add_process(processes, pid, label)}
   end
 
   defp handle_report(state, {_ref, :timer, kind, ms, timer}) do
     due = now(state) + ms * 1_000_000
-    %{state | timers: Timers.add(state.timers, kind, due, timer)}
+    %{state | timers: Timers.add_timer(state.timers, kind, due, timer)}
   end
 
   defp handle_report(state, {_ref, :cancel, timer}),
-    do: %{state | timers: Timers.delete(state.timers, timer)}
+    do: %{state | timers: Timers.delete_timer(state.timers, timer)}
 
   defp handle_report(state, {_ref, :outcome, outcome}), do: %{state | outcome: outcome}
 
@@ -273,7 +275,7 @@ defmodule Situ.Simulation.Scheduler do
   # The end of a process is complete when every other process has its signals.
   defp forget_dead(state, pid, reason) do
     state = state |> add_step(pid, :ended) |> end_client(pid, reason)
-    processes = Processes.delete(state.processes, pid)
+    processes = Processes.delete_process(state.processes, pid)
     Processes.await_signals(processes, pid)
     %{state | processes: processes, timers: Timers.delete_process(state.timers, pid)}
   end
@@ -293,8 +295,8 @@ defmodule Situ.Simulation.Scheduler do
     deviations = Choices.count_deviations(state.shared.choices)
 
     step = %{
-      process: Processes.name(processes, pid),
-      event: Trace.describe(event, processes.names),
+      process: Processes.process_name(processes, pid),
+      event: Trace.describe_event(event, processes.names),
       unusual?: deviations > state.deviations
     }
 

@@ -10,7 +10,7 @@ defmodule Situ.Simulation.Shell do
   #                          {ref, :rest, pid, message}      the end of a turn in which it has handled the message
   #                          {ref, :timer, kind, ms, {timer, pid, message}}, {ref, :cancel, timer}
   #
-  # A process that waits in the middle of a turn, for the reply to a call or in a `receive` of its own, is suspended by
+  # A process that waits in the middle of a turn, for the reply to a call or in another `receive`, is suspended by
   # the scheduler (see Scheduler).
   @behaviour Situ.Runtime
   alias Situ.Runtime
@@ -19,7 +19,7 @@ defmodule Situ.Simulation.Shell do
   @enforce_keys [:ref, :scheduler, :time, :choices, :traced?]
   defstruct [:ref, :scheduler, :time, :choices, :traced?]
 
-  @typedoc "What the processes of a simulation share. The cell `time` holds the wall time, ns."
+  @typedoc "The values that the processes of a simulation share. The cell `time` holds the wall time, ns."
   @type t :: %__MODULE__{
           ref: reference(),
           scheduler: pid(),
@@ -34,7 +34,7 @@ defmodule Situ.Simulation.Shell do
   @odds 8
 
   @impl true
-  def spawn(%__MODULE__{ref: ref} = simulation, by, label, {call, opts}) do
+  def spawn_process(%__MODULE__{ref: ref} = simulation, by, label, {call, opts}) do
     spawned = by.spawn_opt(__MODULE__, :run_plain, [simulation, call], opts)
     pid = if is_tuple(spawned), do: elem(spawned, 0), else: spawned
     send(simulation.scheduler, {ref, :spawned, pid, label})
@@ -42,7 +42,7 @@ defmodule Situ.Simulation.Shell do
   end
 
   @impl true
-  def start(%__MODULE__{ref: ref} = simulation, how, label, call) do
+  def start_process(%__MODULE__{ref: ref} = simulation, how, label, call) do
     send(simulation.scheduler, {ref, :starting})
     apply(:proc_lib, how, [__MODULE__, :run_started, [simulation, label, call]])
   end
@@ -163,5 +163,6 @@ defmodule Situ.Simulation.Shell do
   def wall_cells(%__MODULE__{time: time}), do: {:simulated, time}
 
   @impl true
-  def choose(%__MODULE__{choices: choices}, n), do: Choices.choose_rarely(choices, n, @odds)
+  def choose_number(%__MODULE__{choices: choices}, n),
+    do: Choices.choose_rarely(choices, n, @odds)
 end

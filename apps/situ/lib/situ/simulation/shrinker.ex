@@ -6,8 +6,9 @@ defmodule Situ.Simulation.Shrinker do
   @typep deviations :: %{pos_integer() => pos_integer()}
 
   @doc "Returns fewer deviations with which `fails?` still returns true; runs it at most `most` times."
-  @spec shrink(deviations(), pos_integer(), (deviations() -> boolean())) :: deviations()
-  def shrink(deviations, most, fails?) do
+  @spec shrink_deviations(deviations(), pos_integer(), (deviations() -> boolean())) ::
+          deviations()
+  def shrink_deviations(deviations, most, fails?) do
     list = Enum.sort(deviations)
     {list, _left} = remove_ranges(list, max(div(length(list) + 1, 2), 1), most, fails?)
     Map.new(list)
@@ -23,7 +24,7 @@ defmodule Situ.Simulation.Shrinker do
     remove_ranges(shorter, next, left, fails?)
   end
 
-  # The tail first: what follows the failure has no effect.
+  # The tail first: choices after the failure have no effect.
   defp remove_each(list, size, left, fails?) do
     starts = 0..max(length(list) - 1, 0)//size |> Enum.reverse()
 

@@ -29,15 +29,15 @@ defmodule Situ.Simulation.Timers do
   defp due?(entries, time),
     do: not :gb_sets.is_empty(entries) and elem(:gb_sets.smallest(entries), 0) <= time
 
-  @spec add(t(), kind(), integer(), timer()) :: t()
-  def add(%__MODULE__{count: n} = timers, kind, due, {ref, _pid, _message} = timer) do
+  @spec add_timer(t(), kind(), integer(), timer()) :: t()
+  def add_timer(%__MODULE__{count: n} = timers, kind, due, {ref, _pid, _message} = timer) do
     entry = {due, n, timer}
     timers = Map.update!(timers, kind, &:gb_sets.add_element(entry, &1))
     %{timers | by_ref: Map.put(timers.by_ref, ref, {kind, entry}), count: n + 1}
   end
 
-  @spec delete(t(), reference()) :: t()
-  def delete(%__MODULE__{by_ref: by_ref} = timers, ref) do
+  @spec delete_timer(t(), reference()) :: t()
+  def delete_timer(%__MODULE__{by_ref: by_ref} = timers, ref) do
     case Map.pop(by_ref, ref) do
       {nil, _} ->
         timers
@@ -50,7 +50,7 @@ defmodule Situ.Simulation.Timers do
   @spec delete_process(t(), pid()) :: t()
   def delete_process(%__MODULE__{by_ref: by_ref} = timers, pid) do
     refs = for {ref, {_kind, {_due, _n, {_ref, ^pid, _message}}}} <- by_ref, do: ref
-    Enum.reduce(refs, timers, &delete(&2, &1))
+    Enum.reduce(refs, timers, &delete_timer(&2, &1))
   end
 
   @doc """
@@ -65,7 +65,7 @@ defmodule Situ.Simulation.Timers do
         do: {due, timer}
   end
 
-  # Time passes for a timer in the background only if there is no other one soon.
+  # Time passes for a timer in the background only if no other timer is set.
   defp first_due(wait, background) do
     {due, _n, _timer} = :gb_sets.smallest(if :gb_sets.is_empty(wait), do: background, else: wait)
 

@@ -6,20 +6,22 @@ defmodule Situ.Simulation.Trace do
 
   @type names :: %{pid() => String.t()}
 
-  @spec describe(term(), names()) :: String.t()
-  def describe(:ended, _names), do: "ends"
-  def describe(:killed, _names), do: "is killed"
-  def describe({:waits, :new}, _names), do: "starts, and waits"
-  def describe({:waits, :waits}, _names), do: "continues, and waits again"
-  def describe({:waits, :rests}, _names), do: "waits in the middle of a message"
+  @spec describe_event(term(), names()) :: String.t()
+  def describe_event(:ended, _names), do: "ends"
+  def describe_event(:killed, _names), do: "is killed"
+  def describe_event({:waits, :new}, _names), do: "starts, and waits"
+  def describe_event({:waits, :waits}, _names), do: "continues, and waits again"
+  def describe_event({:waits, :rests}, _names), do: "waits in the middle of a message"
 
-  def describe({:timer, message}, names),
+  def describe_event({:timer, message}, names),
     do: "a timer sends it " <> describe_message(message, names)
 
-  def describe({:handled, :started}, _names), do: "starts"
-  def describe({:handled, :nothing}, _names), do: "has nothing to do"
-  def describe({:handled, :system}, _names), do: "shows its state"
-  def describe({:handled, message}, names), do: "handles " <> describe_message(message, names)
+  def describe_event({:handled, :started}, _names), do: "starts"
+  def describe_event({:handled, :nothing}, _names), do: "has nothing to do"
+  def describe_event({:handled, :system}, _names), do: "shows its state"
+
+  def describe_event({:handled, message}, names),
+    do: "handles " <> describe_message(message, names)
 
   defp describe_message(
          {:"$gen_consumer", {pid, _tag}, {:cancel, {:shutdown, {:closed, time}}}},
@@ -78,7 +80,7 @@ defmodule Situ.Simulation.Trace do
     term |> replace(names, 3) |> inspect(limit: 8, printable_limit: 60, structs: false)
   end
 
-  # Only what is shown is replaced.
+  # Parts that are not shown are left out.
   defp replace(pid, names, _depth) when is_pid(pid), do: String.to_atom(name(names, pid))
   defp replace(term, _names, _depth) when is_reference(term) or is_port(term), do: :ref
   defp replace(term, _names, _depth) when is_function(term), do: :function

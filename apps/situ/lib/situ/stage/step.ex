@@ -126,7 +126,9 @@ defmodule Situ.Stage.Step do
   @doc "Returns a deadline as a time of the VM. In a simulation it has always passed, or never."
   @spec vm_deadline(t(), integer() | :never) :: integer() | :never
   def vm_deadline(%__MODULE__{host: %{simulated?: false}}, deadline), do: deadline
-  def vm_deadline(_step, _deadline), do: if(Runtime.choose(2) == 1, do: -@never, else: :never)
+
+  def vm_deadline(_step, _deadline),
+    do: if(Runtime.choose_number(2) == 1, do: -@never, else: :never)
 
   # On a manual clock, a test decides how long a message takes.
   defp busy_time(%{host: %{clock: %{kind: :manual} = clock}, context: %{now: now}}, _elapsed),

@@ -81,7 +81,7 @@ defmodule Situ.Stage.StepRunner do
     case Inputs.earliest_input(step.inputs) do
       %{lossy: nil} = input when n < most ->
         case Input.pop(input, 0) do
-          # What the messages before it have become leaves the stage first.
+          # The results of the messages before it leave the stage first.
           {entry, _input} when is_tuple(entry) and n > 0 -> {:more, step, n}
           {entry, input} -> run_single(step, {input, entry}, most, deadline, n)
         end

@@ -10,7 +10,9 @@ defmodule Situ.Simulation.ShrinkerTest do
       keys = deviations |> Map.keys() |> Enum.sort()
       needed = for i <- Enum.uniq(picked), key = Enum.at(keys, i), do: key
       fails? = fn tried -> Enum.all?(needed, &is_map_key(tried, &1)) end
-      assert Shrinker.shrink(deviations, 10_000, fails?) == Map.take(deviations, needed)
+
+      assert Shrinker.shrink_deviations(deviations, 10_000, fails?) ==
+               Map.take(deviations, needed)
     end
   end
 
@@ -23,7 +25,7 @@ defmodule Situ.Simulation.ShrinkerTest do
     end
 
     deviations = Map.new(1..100, &{&1, 1})
-    assert Shrinker.shrink(deviations, 20, fails?) == deviations
+    assert Shrinker.shrink_deviations(deviations, 20, fails?) == deviations
     assert :counters.get(counter, 1) == 20
   end
 end

@@ -28,7 +28,7 @@ defmodule Situ.Pipeline.Dynamic.Reload do
       new ->
         server = self()
         call = {__MODULE__, :rebuild, [server, origin, state.handle]}
-        %{state | code: {new, Runtime.spawn(:erlang, "new functions", call, [:link])}}
+        %{state | code: {new, Runtime.spawn_process(:erlang, "new functions", call, [:link])}}
     end
   end
 
