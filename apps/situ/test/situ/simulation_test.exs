@@ -38,6 +38,13 @@ defmodule Situ.SimulationTest do
     failure in Failure -> failure
   end
 
+  # The first use of a module loads it, which may take seconds on a busy machine.
+  setup_all do
+    for seed <- 0..3, do: Simulation.run(fn -> Situ.to_list(&zip/1) end, seed: seed, kill: ["Zip"])
+    Simulation.run(fn -> Situ.to_list(&(numbers(&1) |> Situ.map_async(fn n -> n end))) end)
+    :ok
+  end
+
   describe "a schedule" do
     test "is the same whenever its seed or its choices are run" do
       for seed <- 1..40 do

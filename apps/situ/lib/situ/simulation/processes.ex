@@ -3,8 +3,8 @@ defmodule Situ.Simulation.Processes do
   # The processes of a simulation, as the scheduler sees them.
   alias Situ.Simulation.Shell
 
-  # How long (ms) a process may wait for a process outside the simulation before the others continue, and how long all wait
-  # before the simulation counts as deadlocked.
+  # How long (ms) a process may wait for a process outside the simulation before the others continue, and how long all
+  # wait before the simulation counts as deadlocked.
   @outside_ms 2_000
   @deadlock_ms 500
   @quiet_ms 3
