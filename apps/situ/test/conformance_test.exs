@@ -20,6 +20,19 @@ defmodule Situ.ConformanceTest do
     end
   end
 
+  test "every case passes under random schedules" do
+    for file <- Situ.Conformance.files(),
+        area = Path.basename(file, ".json"),
+        area in @areas,
+        {case, :pass, _us} <- Situ.Conformance.timed_verdicts(file) do
+      judge = fn ->
+        assert {case["id"], :pass} == {case["id"], Situ.Conformance.verdict(area, case)}
+      end
+
+      Situ.Simulation.check(judge, schedules: 4)
+    end
+  end
+
   # The system test tries more mutations, and the slow areas.
   test "every case fails when its expectation is changed" do
     for file <- Situ.Conformance.files(), Path.basename(file, ".json") in @areas do

@@ -7,7 +7,7 @@ defmodule Situ.RuntimeGuidesTest do
 
   for guide <-
         ~w(your-first-pipeline writing-a-component choosing-a-delivery-policy when-things-fail
-            genstage) do
+            simulation genstage) do
     test "every snippet of #{guide} runs in order" do
       path = Path.join(@folder, unquote(guide) <> ".md")
       capture_io(fn -> assert Situ.Test.GuideRunner.run_blocks(path) > 0 end)

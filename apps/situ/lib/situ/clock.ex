@@ -20,10 +20,14 @@ defmodule Situ.Clock do
   # Cells: 1 version (odd while a process is writing), 2 origin, 3 wall time of the origin, 4 speed in millionths
   # (0 while paused), 5 the speed to resume with.
   @enforce_keys [:kind]
-  defstruct [:kind, :cells]
+  defstruct [:kind, :cells, :wall]
 
   @type kind :: :real | :virtual | :manual
-  @type t :: %__MODULE__{kind: kind(), cells: :atomics.atomics_ref() | nil}
+  @type t :: %__MODULE__{
+          kind: kind(),
+          cells: :atomics.atomics_ref() | {:simulated, :atomics.atomics_ref()} | nil,
+          wall: term()
+        }
 
   alias Situ.Clock.Wall
 
@@ -34,14 +38,16 @@ defmodule Situ.Clock do
   time catches up; if the system time is set forward, the clock follows within a second.
   """
   @spec real() :: t()
-  def real, do: %__MODULE__{kind: :real, cells: Wall.shared_cells()}
+  def real, do: %__MODULE__{kind: :real, cells: Wall.current_cells()}
 
   @doc "Returns a pausable clock that starts now at `origin` (ns) and runs `speed` times as fast as the wall clock."
   @spec virtual(Situ.Time.t(), number()) :: t()
   def virtual(origin, speed \\ 1.0) when is_integer(origin) and is_number(speed) and speed > 0 do
     cells = :atomics.new(5, signed: true)
-    init_cells(cells, origin, Wall.now(), speed_in_millionths(speed), speed_in_millionths(speed))
-    %__MODULE__{kind: :virtual, cells: cells}
+    wall = Wall.current_cells()
+    speed = speed_in_millionths(speed)
+    init_cells(cells, origin, Wall.now(wall), speed, speed)
+    %__MODULE__{kind: :virtual, cells: cells, wall: wall}
   end
 
   @doc "Returns a clock that stays at `time` until `advance/2` or `set/2` moves it."
@@ -57,9 +63,9 @@ defmodule Situ.Clock do
   def now(%__MODULE__{kind: :real, cells: cells}), do: Wall.now(cells)
   def now(%__MODULE__{kind: :manual, cells: cells}), do: :atomics.get(cells, 2)
 
-  def now(%__MODULE__{kind: :virtual, cells: cells}) do
-    {origin, wall, speed, _} = read_cells(cells)
-    clock_time(origin, wall, speed)
+  def now(%__MODULE__{kind: :virtual, cells: cells, wall: wall}) do
+    {origin, since, speed, _} = read_cells(cells)
+    clock_time(origin, since, speed, Wall.now(wall))
   end
 
   @doc "Returns the wall milliseconds (rounded up) until the clock reaches `time`, or `:never` while it is not moving."
@@ -69,9 +75,9 @@ defmodule Situ.Clock do
   def wait_ms(%__MODULE__{kind: :manual} = clock, time),
     do: if(now(clock) >= time, do: 0, else: :never)
 
-  def wait_ms(%__MODULE__{kind: :virtual, cells: cells}, time) do
-    {origin, wall, speed, _} = read_cells(cells)
-    ahead = time - clock_time(origin, wall, speed)
+  def wait_ms(%__MODULE__{kind: :virtual, cells: cells, wall: wall}, time) do
+    {origin, since, speed, _} = read_cells(cells)
+    ahead = time - clock_time(origin, since, speed, Wall.now(wall))
 
     cond do
       ahead <= 0 -> 0
@@ -99,7 +105,7 @@ defmodule Situ.Clock do
   @spec pause(t()) :: :ok | {:error, Situ.Error.t()}
   def pause(clock) do
     update_cells(clock, fn origin, wall, speed, resume ->
-      now = Wall.now()
+      now = Wall.now(clock.wall)
       {clock_time(origin, wall, speed, now), now, 0, resume}
     end)
   end
@@ -108,7 +114,7 @@ defmodule Situ.Clock do
   @spec resume(t()) :: :ok | {:error, Situ.Error.t()}
   def resume(clock) do
     update_cells(clock, fn origin, wall, speed, resume ->
-      now = Wall.now()
+      now = Wall.now(clock.wall)
       {clock_time(origin, wall, speed, now), now, resume, resume}
     end)
   end
@@ -117,7 +123,7 @@ defmodule Situ.Clock do
   @spec set_speed(t(), number()) :: :ok | {:error, Situ.Error.t()}
   def set_speed(clock, speed) when is_number(speed) and speed > 0 do
     update_cells(clock, fn origin, wall, old, _resume ->
-      now = Wall.now()
+      now = Wall.now(clock.wall)
       next = if old == 0, do: 0, else: speed_in_millionths(speed)
       {clock_time(origin, wall, old, now), now, next, speed_in_millionths(speed)}
     end)
@@ -129,7 +135,7 @@ defmodule Situ.Clock do
 
   def jump(clock, time) do
     update_cells(clock, fn origin, wall, speed, resume ->
-      now = Wall.now()
+      now = Wall.now(clock.wall)
       {max(time, clock_time(origin, wall, speed, now)), now, speed, resume}
     end)
   end
@@ -226,8 +232,6 @@ defmodule Situ.Clock do
     :atomics.put(cells, 4, speed)
     :atomics.put(cells, 5, resume)
   end
-
-  defp clock_time(origin, wall, speed), do: clock_time(origin, wall, speed, Wall.now())
 
   defp clock_time(origin, wall, 1_000_000, now), do: origin + max(now - wall, 0)
 

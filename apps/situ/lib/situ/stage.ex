@@ -17,13 +17,13 @@ defmodule Situ.Stage do
   # pipeline's server and sends `{:situ_stage, id, event}` to it.
   use GenServer
 
-  alias Situ.Clock
+  alias Situ.{Clock, Runtime}
   alias Situ.Component.Callback
   alias Situ.Ports.Outputs
   alias Situ.Stage.{Loop, Relocation, RequestHandler, State, Step, Subscriptions}
 
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
-  @slow :erlang.convert_time_unit(1, :millisecond, :native)
+  @slow_ns 1_000_000
 
   @doc "Returns the value that the control cell has until the pipeline stops: no final time is set."
   @spec no_final_time() :: integer()
@@ -35,23 +35,17 @@ defmodule Situ.Stage do
 
   @doc "Starts the process; it reports `:up` or `{:init_failed, error}` to the server by itself."
   @spec spawn_link(map()) :: pid()
-  def spawn_link(args),
-    do:
-      :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [
-        :link,
-        fullsweep_after: 30,
-        min_heap_size: 4_181
-      ])
+  def spawn_link(args), do: spawn_process(hd(args.vertices), :init_it, [args])
 
   @doc "Starts the process of a stage that leaves the process `shared`, with its state (see Relocation)."
   @spec spawn_relocated(State.t(), pid()) :: pid()
   def spawn_relocated(state, shared),
-    do:
-      :proc_lib.spawn_opt(__MODULE__, :continue_it, [state, shared, self()], [
-        :link,
-        fullsweep_after: 30,
-        min_heap_size: 4_181
-      ])
+    do: spawn_process(State.head_vertex(state), :continue_it, [state, shared, self()])
+
+  defp spawn_process(vertex, function, args) do
+    opts = [:link, fullsweep_after: 30, min_heap_size: 4_181]
+    Runtime.spawn_process(:proc_lib, vertex.path, {__MODULE__, function, args}, opts)
+  end
 
   @doc false
   def continue_it(state, shared, server) do
@@ -61,7 +55,7 @@ defmodule Situ.Stage do
     case Relocation.take_over(state, shared, &handle_info/2) do
       {:ok, state} ->
         send(self(), :situ_turn)
-        :gen_server.enter_loop(__MODULE__, [], state)
+        Runtime.enter_loop(__MODULE__, state)
 
       :ended ->
         exit(:normal)
@@ -74,7 +68,7 @@ defmodule Situ.Stage do
     Process.put(:situ_pipeline, args.server)
 
     case start_component(args) do
-      {:ok, state} -> :gen_server.enter_loop(__MODULE__, [], state)
+      {:ok, state} -> Runtime.enter_loop(__MODULE__, state)
       :error -> exit(:normal)
     end
   end
@@ -122,14 +116,14 @@ defmodule Situ.Stage do
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> {:noreply, handle_unknown(state, tag, message)}
       found -> state |> Loop.handle_closing(found, closing_time(reason, state)) |> unless_over()
     end
   end
 
   def handle_info({:"$gen_consumer", {_, tag}, batches} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> {:noreply, handle_unknown(state, tag, message)}
       found -> {:noreply, Loop.handle_batches(state, found, batches)}
     end
   end
@@ -188,9 +182,9 @@ defmodule Situ.Stage do
   def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
 
   def handle_info(message, state) do
-    started = :erlang.monotonic_time()
+    started = State.monotonic_time(state)
     state = Loop.handle_plain_message(state, message)
-    slow? = :erlang.monotonic_time() - started > @slow
+    slow? = State.monotonic_time(state) - started > @slow_ns
     {:noreply, if(slow?, do: RequestHandler.handle_overtaking(state), else: state)}
   end
 
@@ -199,6 +193,10 @@ defmodule Situ.Stage do
     for %{worker: %Callback{} = worker} <- State.list_steps(state),
         do: Callback.stop_component(worker, reason)
   end
+
+  # Within the pipeline (tags are numbers) it is a last message that has crossed the end of the connection.
+  defp handle_unknown(state, tag, _message) when is_integer(tag), do: state
+  defp handle_unknown(state, _tag, message), do: Loop.handle_plain_message(state, message)
 
   defp unless_over(%{quitting: true} = state),
     do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})

@@ -227,14 +227,42 @@ defmodule Situ.LifecycleTest do
     assert life.parts == %{}
   end
 
-  test "a stage that starts while its part is being stopped gets the closing mark again" do
+  test "a stage that starts while its part is being stopped gets the closing mark again from its producer" do
     life = put_in(restarting(true).stages[2].status, :running)
     life = put_in(life.stages[2].alive?, true)
     life = put_in(life.stages[2].again?, true)
     life = put_in(life.stages[3].status, :running)
     opts = %{catch_up: 0, from: :caller}
-    {actions, _life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
+    {actions, life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
+    assert life.links.closing == %{1 => 9}
+    assert [1, 2] = for({:rewire, 2, links} <- actions, {tag, _link} <- links, do: tag)
+  end
+
+  test "a stage that starts after its producer has ended gets the closing mark" do
+    life = put_in(restarting(true).stages[2].status, :running)
+    life = put_in(life.stages[2].alive?, true)
+    life = put_in(life.stages[2].again?, true)
+    life = put_in(life.stages[1].alive?, false)
+    life = %{life | links: Situ.Lifecycle.Links.close_link(life.links, 1, 9)}
+    {actions, _life} = apply_events(life, [{:started, 2}])
     assert {:tell, 2, {:peer_gone, 1, 9}} in actions
+  end
+
+  test "a producer that restarts while a part is being stopped cuts the part off when it has started" do
+    life = put_in(restarting(true).stages[1].again?, true)
+    life = put_in(life.stages[2].status, :running)
+    life = put_in(life.stages[2].alive?, true)
+    life = put_in(life.stages[3].status, :running)
+    life = put_in(life.stages[3].alive?, true)
+    stop = {:stop_part, :ref, [2, 3], %{catch_up: 0, from: :caller}}
+    {actions, life} = apply_events(life, [stop])
+    refute Enum.any?(actions, &match?({:tell, 1, {:cut, _, _}}, &1))
+
+    {actions, _life} = apply_events(life, [{:started, 1}])
+    assert {:tell, 1, {:cut, 1, 9}} in actions
+
+    {actions, _life} = apply_events(life, [{:unsubscribed, 2, 1, 9}])
+    assert {:tell, 1, {:untap, 1}} in actions
   end
 
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.

@@ -2,7 +2,7 @@ defmodule Situ.Clock.Timers do
   @moduledoc false
   # The timers of a component, ordered by time, and one VM timer (the alarm) for the next time at which it must wake
   # up.
-  alias Situ.Clock
+  alias Situ.{Clock, Runtime}
 
   defstruct tree: :gb_sets.empty(), next: 0, alarm: nil
 
@@ -73,14 +73,14 @@ defmodule Situ.Clock.Timers do
   defp update_alarm(timers, _due, :never), do: cancel_alarm(timers)
 
   defp update_alarm(timers, due, wait) do
-    timer = Process.send_after(self(), {:situ_alarm, due}, wait)
+    timer = Runtime.send_after({:situ_alarm, due}, wait)
     %{cancel_alarm(timers) | alarm: {due, wait, timer}}
   end
 
   defp cancel_alarm(%{alarm: nil} = timers), do: timers
 
   defp cancel_alarm(%{alarm: {_, _, timer}} = timers) do
-    Process.cancel_timer(timer)
+    Runtime.cancel_timer(timer)
     %{timers | alarm: nil}
   end
 end

@@ -7,24 +7,33 @@ defmodule Situ.Clock.Wall do
   # The VM's own system time corrects itself by running 1 % faster or slower, which takes four days for one hour.
   use GenServer
 
+  alias Situ.Runtime
+
   @every_ms 1_000
   @drift 100_000
   # The maximum lead of a reading with the old offset, ns: other schedulers see the new offset slightly later.
   @margin 1_000_000
   @tries 8
 
-  @typedoc "Two words: the offset of the counter, and the lowest time that a reading may return."
-  @type cells :: :atomics.atomics_ref()
+  @typedoc """
+  Two words: the offset of the counter, and the lowest time that a reading may return. The time of a simulation is one
+  word.
+  """
+  @type cells :: :atomics.atomics_ref() | {:simulated, :atomics.atomics_ref()}
   @type line :: {offset :: integer(), floor :: integer()}
 
   @doc "Returns the cells of this node, or `nil` if no process maintains them; `now/1` then reads the system time."
   @spec shared_cells() :: cells() | nil
   def shared_cells, do: :persistent_term.get(__MODULE__, nil)
 
+  @doc "Returns the cells that apply to the calling process: the cells of its simulation, or of the node."
+  @spec current_cells() :: cells() | nil
+  def current_cells, do: Runtime.wall_cells() || shared_cells()
+
   @doc "Returns the wall time, ns since 1970."
   @spec now(cells() | nil) :: Situ.Time.t()
-  def now(cells \\ shared_cells())
   def now(nil), do: :os.system_time()
+  def now({:simulated, time}), do: :atomics.get(time, 1)
 
   def now(cells),
     do: max(:os.perf_counter() + :atomics.get(cells, 1), :atomics.get(cells, 2))

@@ -42,7 +42,7 @@ defmodule Situ.Lifecycle.Failure do
 
     cond do
       member.status in [:dead, :ended] ->
-        clear_pending(state, id)
+        state |> clear_pending(id) |> repeat_closing_marks(id)
 
       state.step == :quit ->
         clear_pending(set_status(state, [id], :dead), id)
@@ -60,6 +60,16 @@ defmodule Situ.Lifecycle.Failure do
         |> add_error(reason)
         |> end_soon()
     end
+  end
+
+  # A consumer that was restarted in the meantime may wait for the mark of this process.
+  defp repeat_closing_marks(state, id) do
+    Enum.reduce(Links.list_outgoing(state.links, id), state, fn {tag, link}, state ->
+      case state.links.closing do
+        %{^tag => time} -> send_to_stages(state, [link.to], {:peer_gone, tag, time})
+        _open -> state
+      end
+    end)
   end
 
   defp restart_allowed?(%{phase: phase}), do: phase in [:starting, :running]

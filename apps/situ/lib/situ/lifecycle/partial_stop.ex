@@ -74,8 +74,10 @@ defmodule Situ.Lifecycle.PartialStop do
   end
 
   # A consumer that is just restarting may miss the closing mark; it receives another one when it has started.
+  # A producer that is just restarting is asked when it has started.
   defp close_link(state, tag, link, time) do
-    state = send_to_stages(state, [link.from], {:cut, tag, time})
+    again? = state.stages[link.from].again?
+    state = if again?, do: state, else: send_to_stages(state, [link.from], {:cut, tag, time})
     %{state | links: Links.close_link(state.links, tag, time)}
   end
 

@@ -173,6 +173,7 @@ defmodule Situ.Lifecycle.Shutdown do
       do: state
 
   def handle_closed_input(state, id, tag, time) do
+    state = unwire_restarting(state, state.links.active[tag].from, tag)
     state = %{state | links: Links.deactivate_link(state.links, tag)}
     state = update_member(state, id, &%{&1 | ends_at: max(&1.ends_at || time, time)})
     member = state.stages[id]
@@ -181,6 +182,11 @@ defmodule Situ.Lifecycle.Shutdown do
          (not member.source? or state.step == :close),
        do: close_stages(state, [id]),
        else: state
+  end
+
+  # A producer that is just restarting may have been wired with this connection.
+  defp unwire_restarting(state, from, tag) do
+    if state.stages[from].again?, do: send_to_stages(state, [from], {:untap, tag}), else: state
   end
 
   @doc "Advances when no stage closes by itself: ends the pipeline, waits, or checks whether a cycle has settled."

@@ -67,15 +67,26 @@ defmodule Situ.Lifecycle.Startup do
     state =
       Enum.reduce(Links.list_incoming(state.links, id), state, &replay_closing_mark(&1, &2, id))
 
+    state = Enum.reduce(Links.list_outgoing(state.links, id), state, &cut_again(&1, &2, id))
     update_member(state, id, &%{&1 | again?: false})
   end
 
-  # If the previous process received the closing mark, the new one needs it again.
-  defp replay_closing_mark({tag, _link}, state, id) do
+  # The stream of an open stage is closing only where it was cut off for a part that is being stopped.
+  defp cut_again({tag, _link}, state, id) do
     case state.links.closing do
-      %{^tag => time} -> send_to_stages(state, [id], {:peer_gone, tag, time})
-      _ -> state
+      %{^tag => time} -> send_to_stages(state, [id], {:cut, tag, time})
+      _open -> state
     end
+  end
+
+  # If the previous process received the closing mark, the new one needs it again. A live producer sends it, after the
+  # messages that the previous process had not handled.
+  defp replay_closing_mark({tag, link}, state, id) do
+    time = state.links.closing[tag]
+
+    if time != nil and not state.stages[link.from].alive?,
+      do: send_to_stages(state, [id], {:peer_gone, tag, time}),
+      else: state
   end
 
   defp list_neighbours(state, id),

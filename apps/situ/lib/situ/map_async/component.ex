@@ -12,7 +12,7 @@ defmodule Situ.MapAsync.Component do
       errors: [type: {:in, [:stop, :skip, :restart]}, default: :stop]
     ]
 
-  alias Situ.Error
+  alias Situ.{Error, Runtime}
 
   @impl true
   def init(opts),
@@ -29,25 +29,33 @@ defmodule Situ.MapAsync.Component do
     me = self()
 
     {pid, ref} =
-      spawn_monitor(fn ->
-        # The job ends with the component, even if the component is killed.
-        watch_job(me, self())
-        exit({:situ_result, run_function(fun, message)})
-      end)
+      Runtime.spawn_process(:erlang, "job", {__MODULE__, :run_job, [me, fun, message]}, [:monitor])
 
-    if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, pid}, timeout)
+    if timeout != :infinity, do: Runtime.send_after({:situ_late, ref, pid}, timeout)
     ref
   end
 
-  defp watch_job(component, job) do
-    spawn(fn ->
-      [a, b] = for pid <- [component, job], do: Process.monitor(pid)
+  @doc false
+  # The job ends with the component, even if the component is killed.
+  def run_job(component, fun, message) do
+    Runtime.spawn_process(
+      :erlang,
+      "watch of a job",
+      {__MODULE__, :watch_job, [component, self()]},
+      []
+    )
 
-      receive do
-        {:DOWN, ^a, _, _, _} -> Process.exit(job, :kill)
-        {:DOWN, ^b, _, _, _} -> :ok
-      end
-    end)
+    exit({:situ_result, run_function(fun, message)})
+  end
+
+  @doc false
+  def watch_job(component, job) do
+    [a, b] = for pid <- [component, job], do: Process.monitor(pid)
+
+    receive do
+      {:DOWN, ^a, _, _, _} -> Process.exit(job, :kill)
+      {:DOWN, ^b, _, _, _} -> :ok
+    end
   end
 
   defp run_function(fun, message) when is_function(fun, 1),

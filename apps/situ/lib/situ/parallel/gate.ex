@@ -7,9 +7,11 @@ defmodule Situ.Parallel.Gate do
     outputs: [out: :any],
     options: [to: [type: :pid, required: true], id: [type: :any, required: true]]
 
+  alias Situ.Runtime
+
   defstruct [:to, :id, :since, queue: [], slice: 1, passed_time: nil, stopping: false]
 
-  @quick_us 1_000
+  @quick_ns 1_000_000
   @most 512
 
   @impl true
@@ -64,14 +66,14 @@ defmodule Situ.Parallel.Gate do
     gate = gate |> report_passed() |> resize_slice()
     {actions, gate} = take_entries(min(n, gate.slice), gate, [])
     gate = if actions == [], do: report_passed(gate), else: gate
-    since = if gate.queue != [], do: System.monotonic_time(:microsecond)
+    since = if gate.queue != [], do: Runtime.monotonic_time()
     {actions ++ stopped_actions(gate), %{gate | since: since}}
   end
 
   defp resize_slice(%{since: nil} = gate), do: gate
 
   defp resize_slice(gate) do
-    if System.monotonic_time(:microsecond) - gate.since < @quick_us,
+    if Runtime.monotonic_time() - gate.since < @quick_ns,
       do: %{gate | slice: min(2 * gate.slice, @most)},
       else: %{gate | slice: 1}
   end

@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Handlers do
   # server:
   #
   #   {:situ_handled, event, :ok or {:error, error}, graph}   the result, and the graph with everything that was added
-  alias Situ.Error
+  alias Situ.{Error, Runtime}
   alias Situ.Graph.Builder
   require Logger
 
@@ -18,7 +18,8 @@ defmodule Situ.Pipeline.Handlers do
           pid()
   def call_handlers(nil, job, graph, handle) do
     server = self()
-    call_handlers(:proc_lib.spawn_link(__MODULE__, :loop, [server]), job, graph, handle)
+    process = Runtime.spawn_process(:proc_lib, "handlers", {__MODULE__, :loop, [server]}, [:link])
+    call_handlers(process, job, graph, handle)
   end
 
   def call_handlers(pid, job, graph, handle) do

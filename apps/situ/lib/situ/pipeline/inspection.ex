@@ -1,6 +1,7 @@
 defmodule Situ.Pipeline.Inspection do
   @moduledoc false
   # Reports the state of a pipeline: report, snapshot and progress. Reads counters and sends no requests to components.
+  alias Situ.Runtime
   alias Situ.Diagnostics.{Averages, Snapshot, SnapshotBuilder, Trace}
   alias Situ.Pipeline.{Report, Stages, State}
   alias Situ.Ports.{Counters, ErrorCounters}
@@ -40,7 +41,7 @@ defmodule Situ.Pipeline.Inspection do
   @doc "Asks components for their descriptions, at most five times a second; replies arrive later."
   @spec request_descriptions(State.t()) :: State.t()
   def request_descriptions(%{life: %{phase: :running}, view: %{described: described}} = state) do
-    now = System.monotonic_time(:millisecond)
+    now = div(Runtime.monotonic_time(), 1_000_000)
 
     if described == nil or now - described > 200 do
       for {id, %{vertices: [%{module: module} | _]}} <- state.stages,
@@ -73,7 +74,7 @@ defmodule Situ.Pipeline.Inspection do
   @doc "Records the totals now and every half averaging span, so that averages never cover a much older span."
   @spec observe_totals(State.t()) :: State.t()
   def observe_totals(%{view: %{averages: %{span: span}}} = state) do
-    Process.send_after(self(), :situ_observe, max(div(span, 2_000_000), @least_ms))
+    Runtime.send_after(:situ_observe, max(div(span, 2_000_000), @least_ms), :background)
     mark_totals(state)
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Launcher do
   @moduledoc false
   # Launches a pipeline: a new process builds the graph, replies to its caller and becomes the pipeline's server.
-  alias Situ.Error
+  alias Situ.{Error, Runtime}
   alias Situ.Application.{Directory, CodeReload}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
@@ -36,7 +36,9 @@ defmodule Situ.Pipeline.Launcher do
   def new(settings) do
     ensure_started()
 
-    case :proc_lib.start(__MODULE__, :init_empty, [self(), settings]) do
+    call = {__MODULE__, :init_empty, [self(), settings]}
+
+    case Runtime.start_process(:start, "Pipeline", call) do
       {:ok, handle} -> handle
       {:error, %Error{} = error} -> raise error
     end
@@ -58,11 +60,10 @@ defmodule Situ.Pipeline.Launcher do
     with {:ok, settings} <- Settings.parse(settings, mode, spec) do
       origin = if is_atom(spec), do: {spec, opts}
       settings = %{settings | reply: reply && {self(), reply}, origin: origin}
-      how |> spawn_init([self(), spec, opts, settings]) |> normalize_result()
+      call = {__MODULE__, :init_it, [self(), spec, opts, settings]}
+      normalize_result(Runtime.start_process(how, settings.name, call))
     end
   end
-
-  defp spawn_init(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
 
   # A process that dies during `build` leaves only an exit reason.
   defp normalize_result({:error, %Error{}} = error), do: error
@@ -85,7 +86,7 @@ defmodule Situ.Pipeline.Launcher do
         unless Process.alive?(caller), do: exit(:normal)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
-        :gen_server.enter_loop(Server, [], state)
+        Runtime.enter_loop(Server, state)
 
       {:error, error} ->
         Handlers.run_abandoned(handle, error)
@@ -105,7 +106,7 @@ defmodule Situ.Pipeline.Launcher do
       add_diagnostics(handle, settings)
       state = monitor_caller(%{state | handle: handle}, caller)
       :proc_lib.init_ack({:ok, handle})
-      :gen_server.enter_loop(Server, [], state)
+      Runtime.enter_loop(Server, state)
     else
       {:error, error} -> :proc_lib.init_ack({:error, error})
     end

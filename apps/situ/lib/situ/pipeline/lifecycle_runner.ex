@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.LifecycleRunner do
   @moduledoc false
   # Performs the actions of the life cycle. Only this module turns a decision into a message, a process or a log line.
-  alias Situ.{Clock, Error, Graph, Lifecycle, Telemetry}
+  alias Situ.{Clock, Error, Graph, Lifecycle, Runtime, Telemetry}
   alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
   alias Situ.Lifecycle.Errors
@@ -193,12 +193,12 @@ defmodule Situ.Pipeline.LifecycleRunner do
   end
 
   defp perform_action({:after, ms, event}, state) do
-    Process.send_after(self(), {:situ_event, event}, ms)
+    Runtime.send_after({:situ_event, event}, ms)
     state
   end
 
   defp perform_action({:watch, ms, which}, state) do
-    Process.send_after(self(), {:situ_watch, which, Stages.fingerprint(state, which)}, ms)
+    Runtime.send_after({:situ_watch, which, Stages.fingerprint(state, which)}, ms)
     state
   end
 
@@ -282,7 +282,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
 
   def report_progress(state) do
     if Handlers.any?(state.graph, :progress) do
-      Process.send_after(self(), :situ_progress, state.settings.progress_every)
+      Runtime.send_after(:situ_progress, state.settings.progress_every, :background)
       state = Inspection.advance_progress(state)
       call_handlers(state, :progress, state.view.progress)
     else

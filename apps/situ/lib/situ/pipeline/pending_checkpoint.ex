@@ -7,7 +7,7 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   #   asking    every other stage reports its snapshot; if any message has moved since, the checkpoint settles again
   #   held      the caller has all snapshots; the sources continue when it says so, or when it has died
   # See docs/adr/0111-checkpoints-pause-the-sources.md.
-  alias Situ.Error
+  alias Situ.{Error, Runtime}
   alias Situ.Pipeline.{Stages, State}
 
   @enforce_keys [:ref, :from, :monitor, :deadline, :sources]
@@ -47,12 +47,12 @@ defmodule Situ.Pipeline.PendingCheckpoint do
           ref: make_ref(),
           from: from,
           monitor: Process.monitor(pid),
-          deadline: System.monotonic_time(:millisecond) + timeout,
+          deadline: Runtime.monotonic_time() + timeout * 1_000_000,
           sources: sources
         }
 
         # A stage that does not reply must not block the checkpoint forever.
-        Process.send_after(self(), {:situ_checkpoint, checkpoint.ref}, timeout)
+        Runtime.send_after({:situ_checkpoint, checkpoint.ref}, timeout)
         request_snapshots(put_checkpoint(state, checkpoint), :freezing, :freeze, sources)
 
       id ->
@@ -134,7 +134,7 @@ defmodule Situ.Pipeline.PendingCheckpoint do
       |> put_checkpoint(checkpoint)
       |> request_snapshots(:asking, :remember, stage_ids(state) -- checkpoint.sources)
     else
-      Process.send_after(self(), {:situ_checkpoint, state.dynamic.checkpoint.ref}, 1)
+      Runtime.send_after({:situ_checkpoint, state.dynamic.checkpoint.ref}, 1)
       state
     end
   end
@@ -168,7 +168,7 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   end
 
   defp past_deadline?(state),
-    do: System.monotonic_time(:millisecond) >= state.dynamic.checkpoint.deadline
+    do: Runtime.monotonic_time() >= state.dynamic.checkpoint.deadline
 
   defp not_settled_error(_state) do
     Error.new(:not_settled, "no checkpoint was taken: messages were in flight all the time",

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.StageProcesses do
   @moduledoc false
   # The processes of a pipeline's stages: spawns them, alone or in groups, and knows which stages each contains.
   alias Situ.Pipeline.State
-  alias Situ.Stage
+  alias Situ.{Runtime, Stage}
   alias Situ.Stage.SharedProcess
 
   @doc "Spawns a process for each stage or group of stages, for the first time or again."
@@ -92,7 +92,7 @@ defmodule Situ.Pipeline.StageProcesses do
 
   defp stage_idle?(stage) do
     case Process.info(stage.pid, [:message_queue_len, :current_function]) do
-      [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
+      [message_queue_len: 0, current_function: {module, _, _}] -> module == Runtime.loop_module()
       nil -> true
       _ -> false
     end

@@ -6,7 +6,7 @@ defmodule Situ.Ports.Input do
   # Under a lossy policy there are two queues: requested messages wait here, the others at the producer (see
   # Subscriber). After a slow callback, the producer is asked for all its messages before the next one is taken, so that
   # the policy applies to everything that was emitted.
-  alias Situ.{Delivery, Error, Message, Type}
+  alias Situ.{Delivery, Error, Message, Runtime, Type}
   alias Situ.Delivery.{Batch, Queue}
   alias Situ.Ports.{Address, Counters, DemandWindow}
 
@@ -167,7 +167,7 @@ defmodule Situ.Ports.Input do
     do: {:ok, input}
 
   def ensure_fresh(%__MODULE__{lossy: {queue, known}} = input) do
-    now = :erlang.monotonic_time()
+    now = Runtime.monotonic_time()
 
     if known == :sure or now - known < @stale_ns or Counters.held_count(input.counters) == 0 do
       {:ok, %{input | lossy: {queue, now}}}
@@ -284,13 +284,13 @@ defmodule Situ.Ports.Input do
   @doc "Pauses the input for 20 ms or until it is resumed; pausing it again restarts the time."
   @spec set_hold(t(), boolean()) :: t()
   def set_hold(%__MODULE__{} = input, held?) do
-    with {timer, _token} <- input.held, do: Process.cancel_timer(timer)
+    with {timer, _token} <- input.held, do: Runtime.cancel_timer(timer)
     %{input | held: if(held?, do: start_hold(input.tag))}
   end
 
   defp start_hold(tag) do
     token = make_ref()
-    {Process.send_after(self(), {:situ_hold, tag, token}, @hold_ms), token}
+    {Runtime.send_after({:situ_hold, tag, token}, @hold_ms), token}
   end
 
   @doc "Checks that the data has the input's type, as `check` requires; a first valid message ends `:first`."

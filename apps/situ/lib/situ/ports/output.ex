@@ -91,6 +91,8 @@ defmodule Situ.Ports.Output do
 
   def attach_marks(%__MODULE__{port: port} = output, marks, index) do
     output = %{output | port: %{port | mark: {marks, index * 6}}}
+    # Messages that the previous process had posted, but not sent, are posted again.
+    for i <- 1..3, do: :atomics.put(marks, index * 6 + i + 3, :atomics.get(marks, index * 6 + i))
 
     case :atomics.get(marks, index * 6 + 3) do
       0 ->
@@ -118,8 +120,13 @@ defmodule Situ.Ports.Output do
   end
 
   defp record_sent(%{port: %{mark: nil}} = output), do: output
+  # The messages still have to pass through another step of the stage.
+  defp record_sent(%{subs: [%{demand: :local} | _]} = output), do: output
+  defp record_sent(output), do: record_progress(output)
 
-  defp record_sent(%{port: %{mark: {marks, base}}} = output) do
+  @doc "Records that everything posted has left the stage, if nothing waits for the demand of a subscriber."
+  @spec record_progress(t()) :: t()
+  def record_progress(%__MODULE__{port: %{mark: {marks, base}}} = output) do
     if all_sent?(output),
       do: for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3)))
 
@@ -328,6 +335,21 @@ defmodule Situ.Ports.Output do
     end
   end
 
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{subs: subs}), do: Enum.all?(subs, & &1.closed)
+
+  @doc "Replaces the process of the consumer with this tag. A closing mark is sent again, after its messages."
+  @spec replace_consumer(t(), term(), pid()) :: t()
+  def replace_consumer(%__MODULE__{} = output, tag, pid) do
+    output = map_tagged(output, tag, &Subscriber.replace_consumer(&1, pid))
+
+    case output.ending do
+      {:closed, time} when output.subs != [] -> finish(%{output | ending: {:closing, time}})
+      _open_or_closing -> finish(output)
+    end
+  end
+
   @doc "Updates every subscriber with this tag."
   @spec map_tagged(t(), term(), (Subscriber.t() -> Subscriber.t())) :: t()
   def map_tagged(%__MODULE__{subs: subs} = output, tag, fun),
@@ -384,10 +406,11 @@ defmodule Situ.Ports.Output do
 
   # Sends the closing mark to the subscribers that have received all their messages.
   defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
-    {done, waiting} = Enum.split_with(output.subs, &(&1.size == 0))
-    Enum.each(done, &Subscriber.send_close(&1, time))
-    ending = if waiting == [], do: {:closed, time}, else: output.ending
-    %{output | subs: waiting, ending: ending}
+    close =
+      &if(&1.size == 0 and not &1.closed, do: Subscriber.close_consumer(&1, time), else: [&1])
+
+    output = %{output | subs: Enum.flat_map(output.subs, close)}
+    if drained?(output), do: %{output | ending: {:closed, time}}, else: output
   end
 
   defp send_closing(output), do: output

@@ -207,6 +207,11 @@ defmodule Situ.Ports.Outputs do
   def map_tagged(%__MODULE__{} = outputs, tag, fun),
     do: map_outputs(outputs, &Output.map_tagged(&1, tag, fun))
 
+  @doc "Replaces the process of the consumer with this tag."
+  @spec replace_consumer(t(), term(), pid()) :: t()
+  def replace_consumer(%__MODULE__{} = outputs, tag, pid),
+    do: map_outputs(outputs, &Output.replace_consumer(&1, tag, pid))
+
   @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
   @spec all_sent?(t()) :: boolean()
   def all_sent?(%__MODULE__{own: own, dispatcher: dispatcher}) do
@@ -214,10 +219,15 @@ defmodule Situ.Ports.Outputs do
       (dispatcher == nil or Dispatcher.waiting_count(dispatcher) == 0)
   end
 
+  @doc "Records that everything posted has left the stage."
+  @spec record_progress(t()) :: t()
+  def record_progress(%__MODULE__{} = outputs),
+    do: map_outputs(outputs, &Output.record_progress/1)
+
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
   def drained?(%__MODULE__{own: own, dispatcher: dispatcher}) do
-    Enum.all?(own, &match?({_, %{subs: []}}, &1)) and
+    Enum.all?(own, &Output.drained?(elem(&1, 1))) and
       (dispatcher == nil or Dispatcher.drained?(dispatcher))
   end
 

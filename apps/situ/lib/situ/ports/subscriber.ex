@@ -30,12 +30,14 @@ defmodule Situ.Ports.Subscriber do
     buffer: [],
     rear: [],
     size: 0,
-    waiting: false
+    waiting: false,
+    closed: false
   ]
 
   @typedoc """
   `buffer` and `rear` (reversed) hold batches that wait for demand, `queue` the same under a lossy policy. `unacked` is
-  the number of messages that the consumer is known to have handled, and the batches after them.
+  the number of messages that the consumer is known to have handled, and the batches after them. `closed` is true when
+  the consumer's process has been sent the closing mark.
   """
   @type t :: %__MODULE__{
           tag: term(),
@@ -49,7 +51,8 @@ defmodule Situ.Ports.Subscriber do
           buffer: [Batch.t()],
           rear: [Batch.t()],
           size: non_neg_integer(),
-          waiting: boolean()
+          waiting: boolean(),
+          closed: boolean()
         }
 
   @doc "Builds a subscriber without demand."
@@ -77,7 +80,7 @@ defmodule Situ.Ports.Subscriber do
   def replace_consumer(%__MODULE__{unacked: nil} = sub, pid) do
     {emitted, processed, dropped} = Counters.flow_counts(sub.counters)
     count_dropped(sub, max(emitted - sub.size - processed - dropped, 0))
-    %{sub | pid: pid, demand: 0}
+    %{sub | pid: pid, demand: 0, closed: false}
   end
 
   def replace_consumer(%__MODULE__{} = sub, pid) do
@@ -86,7 +89,7 @@ defmodule Situ.Ports.Subscriber do
     n = batches |> Enum.map(&Batch.size/1) |> Enum.sum()
     Counters.count_handed(sub.counters, -n, 0)
     sub = %{sub | unacked: {handled, :queue.new()}, buffer: batches ++ sub.buffer}
-    %{sub | pid: pid, demand: 0, size: sub.size + n}
+    %{sub | pid: pid, demand: 0, size: sub.size + n, closed: false}
   end
 
   @doc "Continues after the messages that a dead producer had sent to the consumer."
@@ -130,6 +133,16 @@ defmodule Situ.Ports.Subscriber do
   @spec send_close(t(), Situ.Time.t()) :: term()
   def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
 
+  @doc """
+  Sends the closing mark, and returns the subscriber if its process may be replaced: the new process needs the mark
+  again, after the messages that the old one had not handled.
+  """
+  @spec close_consumer(t(), Situ.Time.t()) :: [t()]
+  def close_consumer(%__MODULE__{} = sub, time) do
+    send_close(sub, time)
+    if sub.counters == nil or sub.demand == :local, do: [], else: [%{sub | closed: true}]
+  end
+
   @doc "Sends the end of the subscription."
   @spec send_cancel(t(), term()) :: term()
   def send_cancel(sub, reason),
@@ -147,6 +160,8 @@ defmodule Situ.Ports.Subscriber do
           Situ.Time.t()
         ) ::
           t()
+  def deliver_batches(%{closed: true} = sub, _batches, _n, _latency, _now), do: sub
+
   def deliver_batches(%{resume: until} = sub, batches, _n, latency, now) when until != nil do
     case Enum.flat_map(batches, &batches_after(&1, until)) do
       [] ->

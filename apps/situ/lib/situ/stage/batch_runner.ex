@@ -68,7 +68,7 @@ defmodule Situ.Stage.BatchRunner do
 
   # Two messages are not worth a look at the time.
   defp run_chain(step, input, batch, {started, deadline}) do
-    till = if Batch.size(batch) > 2, do: deadline, else: :never
+    till = if Batch.size(batch) > 2, do: Step.vm_deadline(step, deadline), else: :never
     {results, chain, outcome} = Chain.run_batch(step.worker, batch, till)
     step = %{step | worker: chain}
 

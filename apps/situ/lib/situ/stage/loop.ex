@@ -94,7 +94,7 @@ defmodule Situ.Stage.Loop do
   def run_slice(%{steps: steps} = state) when elem(steps, 0).phase == :starting, do: settle(state)
 
   def run_slice(state) do
-    start = :erlang.monotonic_time(:nanosecond)
+    start = State.monotonic_time(state)
     run_steps(state, last(state), {0, start, start + @flush_ns, start + @slice_ns})
   end
 
@@ -104,7 +104,7 @@ defmodule Situ.Stage.Loop do
        do: %{state | steps: {StepRunner.settle(step)}}
 
   defp run_slice(state, step) do
-    start = :erlang.monotonic_time(:nanosecond)
+    start = Step.monotonic_time(step)
     {outcome, step} = run_alone(step, start, start + @flush_ns, start + @slice_ns)
     state = enlarge_heap(state, step)
     state = %{state | steps: {StepRunner.settle(step)}}

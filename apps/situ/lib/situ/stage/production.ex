@@ -24,7 +24,7 @@ defmodule Situ.Stage.Production do
   defp ask_source(%{outputs: outputs} = step, room) do
     before = {Outputs.progress_mark(outputs), Outputs.repeated_count(outputs), count_errors(step)}
     count = Outputs.posted_count(outputs)
-    started = :erlang.monotonic_time(:nanosecond)
+    started = Step.monotonic_time(step)
     step = CallbackRunner.call_callback(step, :handle_demand, [room])
     posted = Outputs.posted_count(step.outputs) - count
     step |> Step.count_produced(posted, started) |> judge_reply(before)

@@ -198,8 +198,14 @@ defmodule Situ.Stage.RequestHandler do
 
   def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_drained()
 
-  def handle_request({:peer, tag, pid}, state),
-    do: {:noreply, State.replace_neighbour(state, tag, pid)}
+  # A stream that was cut off for the neighbour, at the closing time, has no subscriber any more.
+  def handle_request({:peer, tag, pid, closing}, state) do
+    if closing != nil and State.find_input(state, tag) == nil and
+         not Enum.any?(State.list_subscribers(state), &(&1.tag == tag)),
+       do: Subscriber.send_close(Subscriber.new(tag, pid, nil), closing)
+
+    {:noreply, State.replace_neighbour(state, tag, pid)}
+  end
 
   def handle_request({:peer_gone, tag, time}, state) do
     case State.find_input(state, tag) do

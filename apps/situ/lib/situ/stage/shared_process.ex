@@ -8,7 +8,7 @@ defmodule Situ.Stage.SharedProcess do
 
   alias Situ.Clock.Timers
   alias Situ.Ports.{Address, Input, Outputs}
-  alias Situ.Stage
+  alias Situ.{Runtime, Stage}
   alias Situ.Stage.{Departure, Load, Loop, Pause, RequestHandler, State, Step, Subscriptions}
 
   @slice_ns 5_000_000
@@ -54,8 +54,10 @@ defmodule Situ.Stage.SharedProcess do
 
   @doc "Starts the process with the arguments of each stage; every stage reports to the server by itself."
   @spec spawn_link([map(), ...]) :: pid()
-  def spawn_link(stages),
-    do: :proc_lib.spawn_opt(__MODULE__, :init_it, [stages], [:link, fullsweep_after: 30])
+  def spawn_link([%{vertices: [head | _]} | _] = stages) do
+    opts = [:link, fullsweep_after: 30]
+    Runtime.spawn_process(:proc_lib, head.path, {__MODULE__, :init_it, [stages]}, opts)
+  end
 
   @doc false
   def init_it([%{server: server} | _] = stages) do
@@ -70,7 +72,7 @@ defmodule Situ.Stage.SharedProcess do
 
     if members == %{},
       do: exit(:normal),
-      else: :gen_server.enter_loop(__MODULE__, [], %__MODULE__{members: members})
+      else: Runtime.enter_loop(__MODULE__, %__MODULE__{members: members})
   end
 
   @impl true
@@ -220,7 +222,7 @@ defmodule Situ.Stage.SharedProcess do
   end
 
   defp run_messages(process, messages) do
-    deadline = :erlang.monotonic_time(:nanosecond) + @slice_ns
+    deadline = Runtime.monotonic_time() + @slice_ns
     messages |> run_rounds(process, deadline) |> end_slice()
   end
 
@@ -265,7 +267,7 @@ defmodule Situ.Stage.SharedProcess do
 
       {messages, sources} ->
         cond do
-          :erlang.monotonic_time(:nanosecond) > deadline -> %{process | waiting: messages}
+          Runtime.monotonic_time() > deadline -> %{process | waiting: messages}
           messages != [] -> run_rounds(messages, process, deadline)
           true -> run_rounds([], %{process | ready: sources, sources: []}, deadline)
         end
@@ -291,7 +293,7 @@ defmodule Situ.Stage.SharedProcess do
   defp run_ready(%{ready: []} = process), do: process
 
   defp run_ready(%{ready: ready} = process) do
-    now = :erlang.monotonic_time(:nanosecond)
+    now = Runtime.monotonic_time()
     ready |> :lists.reverse() |> run_ready(%{process | ready: []}, now)
   end
 
@@ -301,7 +303,7 @@ defmodule Situ.Stage.SharedProcess do
     case members do
       %{^id => state} ->
         state = Loop.run_slice(%{state | ready: false})
-        now = :erlang.monotonic_time(:nanosecond)
+        now = Runtime.monotonic_time()
         state = Load.add_run(state, now - started)
         run_ready(rest, put_result(process, id, state), now)
 
@@ -350,7 +352,7 @@ defmodule Situ.Stage.SharedProcess do
 
   defp handle_message({:situ, {:freeze, ref}}, id, state, process) do
     state = RequestHandler.prepare_pause(state, ref)
-    Process.send_after(self(), {:situ, {:to, id, {:thaw, ref}}}, Pause.longest_ms())
+    Runtime.send_after({:situ, {:to, id, {:thaw, ref}}}, Pause.longest_ms(), :background)
     # A time slice only sends pending messages while another one is due.
     process = put_member(process, id, %{state | scheduled: true})
     %{process | paused: Map.put(process.paused, id, {ref, state.scheduled, [], []})}

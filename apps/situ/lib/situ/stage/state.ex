@@ -2,7 +2,7 @@ defmodule Situ.Stage.State do
   @moduledoc false
   # The state of a stage: its steps in the order in which messages pass through them, and what concerns its mailbox.
   # Messages between two steps go from the output of one to the input of the other without a queue between processes.
-  alias Situ.{Delivery, Error}
+  alias Situ.{Delivery, Error, Runtime}
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Input, Output, Outputs, Subscriber}
   alias Situ.Stage.{ErrorPolicy, Load, Step}
@@ -52,6 +52,7 @@ defmodule Situ.Stage.State do
       errors: args.tally,
       restarts?: args[:marks] != nil,
       shared?: args[:shared?] == true,
+      simulated?: Runtime.simulated?(),
       clock: nil,
       control: nil
     }
@@ -80,6 +81,10 @@ defmodule Situ.Stage.State do
   end
 
   defp connect_steps(state, _args), do: state
+
+  @doc "Returns the monotonic time, ns; see `Situ.Stage.Step.monotonic_time/1`."
+  @spec monotonic_time(t()) :: integer()
+  def monotonic_time(%__MODULE__{steps: steps}), do: Step.monotonic_time(elem(steps, 0))
 
   @doc "Returns the component or the first operator of the stage."
   @spec head_vertex(t()) :: Vertex.t()
@@ -246,10 +251,7 @@ defmodule Situ.Stage.State do
         {i, input} -> put_input(state, i, Input.replace_producer(input, pid))
       end
 
-    map_outputs(
-      state,
-      &Outputs.map_tagged(&1, tag, fn sub -> Subscriber.replace_consumer(sub, pid) end)
-    )
+    map_outputs(state, &Outputs.replace_consumer(&1, tag, pid))
   end
 
   @spec put_input(t(), non_neg_integer(), Input.t()) :: t()

@@ -3,7 +3,7 @@ defmodule Situ.Stage.Step do
   # One step of a stage: a component, or a chain of light operators, with its ports. The state of a stage is a list of
   # steps (see State). Everything that happens to one step is a function of the step; `host` holds the values that all
   # steps of a stage share.
-  alias Situ.{Clock, Error}
+  alias Situ.{Clock, Error, Runtime}
   alias Situ.Clock.Timers
   alias Situ.Component.{Callback, Context}
   alias Situ.Graph.Vertex
@@ -38,6 +38,7 @@ defmodule Situ.Stage.Step do
           errors: ErrorCounters.t(),
           restarts?: boolean(),
           shared?: boolean(),
+          simulated?: boolean(),
           clock: Clock.t() | nil,
           control: :atomics.atomics_ref() | nil
         }
@@ -112,16 +113,30 @@ defmodule Situ.Stage.Step do
   @doc "Counts `n` messages, out of `taken`, that were handled together from the monotonic time `started` (ns) on."
   @spec count_handled(t(), non_neg_integer(), pos_integer(), integer()) :: t()
   def count_handled(%__MODULE__{work: work} = step, n, taken, started) do
-    time = :erlang.monotonic_time(:nanosecond)
+    time = monotonic_time(step)
     %{step | work: Work.count_slice(work, n, taken, {busy_time(step, time - started), time})}
   end
 
   @doc "Counts `n` messages that a source has posted from the monotonic time `started` (ns) on."
   @spec count_produced(t(), non_neg_integer(), integer()) :: t()
   def count_produced(%__MODULE__{work: work} = step, n, started) do
-    elapsed = busy_time(step, :erlang.monotonic_time(:nanosecond) - started)
+    elapsed = busy_time(step, monotonic_time(step) - started)
     %{step | work: Work.note_time(work, n, elapsed)}
   end
+
+  @doc "Returns the monotonic time, ns. In a simulation the schedule decides it."
+  @spec monotonic_time(t()) :: integer()
+  def monotonic_time(%__MODULE__{host: %{simulated?: false}}),
+    do: :erlang.monotonic_time(:nanosecond)
+
+  def monotonic_time(_step), do: Runtime.monotonic_time()
+
+  @doc "Returns a deadline as a time of the VM. In a simulation it has always passed, or never."
+  @spec vm_deadline(t(), integer() | :never) :: integer() | :never
+  def vm_deadline(%__MODULE__{host: %{simulated?: false}}, deadline), do: deadline
+
+  def vm_deadline(_step, _deadline),
+    do: if(Runtime.choose_number(2) == 1, do: -@never, else: :never)
 
   # On a manual clock, a test decides how long a message takes.
   defp busy_time(%{host: %{clock: %{kind: :manual} = clock}, context: %{now: now}}, _elapsed),

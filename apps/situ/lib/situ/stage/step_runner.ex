@@ -89,15 +89,10 @@ defmodule Situ.Stage.StepRunner do
   defp run_singly(step, most, deadline, n) do
     case Inputs.earliest_input(step.inputs) do
       %{lossy: nil} = input when n < most ->
-        {entry, input} = Input.pop(input, 0)
-        step = step |> Step.put_input(input) |> handle_entry(input, entry)
-
-        cond do
-          is_tuple(entry) -> {:more, step, n}
-          step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
-          past?(deadline) -> {:yield, step, n + 1}
-          Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
-          true -> run_singly(step, most, deadline, n + 1)
+        case Input.pop(input, 0) do
+          # The results of the messages before it leave the stage first.
+          {entry, _input} when is_tuple(entry) and n > 0 -> {:more, step, n}
+          {entry, input} -> run_single(step, {input, entry}, most, deadline, n)
         end
 
       _none_or_lossy_or_enough ->
@@ -105,7 +100,19 @@ defmodule Situ.Stage.StepRunner do
     end
   end
 
-  defp past?(deadline), do: :erlang.monotonic_time(:nanosecond) > deadline
+  defp run_single(step, {input, entry}, most, deadline, n) do
+    step = step |> Step.put_input(input) |> handle_entry(input, entry)
+
+    cond do
+      is_tuple(entry) -> {:more, step, n}
+      step.phase == :failed or step.work.continue != :none -> {:more, step, n + 1}
+      past?(step, deadline) -> {:yield, step, n + 1}
+      Outputs.pending_count(step.outputs) >= most -> {:more, step, n + 1}
+      true -> run_singly(step, most, deadline, n + 1)
+    end
+  end
+
+  defp past?(step, deadline), do: Step.monotonic_time(step) > deadline
 
   # Under a lossy policy, messages in the mailbox join the queue before the next message is taken.
   defp run_newest(step, input, started) do
@@ -212,9 +219,16 @@ defmodule Situ.Stage.StepRunner do
     outputs = Outputs.flush(step.outputs, step.context.now)
     step = %{step | outputs: outputs}
 
-    if restarts? and not (all_sent? and Outputs.all_sent?(outputs)),
-      do: step,
-      else: publish_counts(step)
+    cond do
+      not restarts? ->
+        publish_counts(step)
+
+      all_sent? and Outputs.all_sent?(outputs) ->
+        publish_counts(%{step | outputs: Outputs.record_progress(outputs)})
+
+      true ->
+        step
+    end
   end
 
   defp publish_counts(%{work: %{spent: spent} = work} = step) do

@@ -230,7 +230,17 @@ defmodule Situ.Stage.Subscriptions do
   def lend_output(state, name, sub) do
     case State.find_output(state, output: name) do
       {:ok, %{ending: {:closed, time}}} -> {{:closed, time}, state}
-      {:ok, output} -> {{:open, output.last_time}, add_subscriber(state, output, sub)}
+      {:ok, output} -> {{:open, output.last_time}, add_once(state, output, sub)}
+    end
+  end
+
+  # A stage that was restarted in the meantime has been wired with the new consumer already, or with an earlier one.
+  defp add_once(state, output, %{tag: tag, pid: pid} = sub) do
+    if Enum.any?(output.subs, &match?(%{tag: ^tag, pid: ^pid}, &1)) do
+      state
+    else
+      subs = Enum.reject(output.subs, &(&1.tag == tag))
+      add_subscriber(state, %{output | subs: subs}, sub)
     end
   end
 

@@ -8,6 +8,7 @@ defmodule Situ.Build.Layers do
   #
   # | layer | holds |
   # |---|---|
+  # | `runtime` | how processes start and wait, and how timers are set: by the VM, or by a simulation |
   # | `clock` | clocks, and the choice of a pipeline's clock, start and end |
   # | `graph` | the graph of components as data: vertices, edges, plans, policies, the behaviours of components |
   # | `ports` | inputs and outputs of a running component: queues, demand, posting rules, counters |
@@ -23,6 +24,7 @@ defmodule Situ.Build.Layers do
 
   # Names, not modules: the build tool must not depend on the apps that it checks.
   @layers [
+    runtime: ~w(Situ.Runtime),
     clock: ~w(Situ.Clock),
     graph:
       ~w(Situ.Argument Situ.Component Situ.Delivery Situ.Graph Situ.Node Situ.Operator Situ.Stream),
@@ -51,9 +53,9 @@ defmodule Situ.Build.Layers do
   Returns the index of the layer that a module belongs to, from 0, or `:any` if it is in no layer.
 
       iex> Situ.Build.Layers.layer_index(:"Elixir.Situ.Graph.Edge")
-      1
+      2
       iex> Situ.Build.Layers.layer_index(:"Elixir.Situ")
-      10
+      11
       iex> Situ.Build.Layers.layer_index(:"Elixir.Situ.Test")
       :any
   """

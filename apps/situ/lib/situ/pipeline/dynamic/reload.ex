@@ -8,6 +8,7 @@ defmodule Situ.Pipeline.Dynamic.Reload do
   #   stages -> process  {:renewed, reply}, `count` times, through the server
   #
   # A pipeline that is not planned yet renews its graph in `plan`, before any stage can use the old functions.
+  alias Situ.Runtime
   alias Situ.Application.CodeReload
   alias Situ.Graph.Builder
   alias Situ.Pipeline.{Dynamic, Handlers, State}
@@ -26,8 +27,8 @@ defmodule Situ.Pipeline.Dynamic.Reload do
 
       new ->
         server = self()
-        build = fn -> rebuild(server, origin, state.handle) end
-        %{state | code: {new, spawn_link(build)}}
+        call = {__MODULE__, :rebuild, [server, origin, state.handle]}
+        %{state | code: {new, Runtime.spawn_process(:erlang, "new functions", call, [:link])}}
     end
   end
 
@@ -66,7 +67,8 @@ defmodule Situ.Pipeline.Dynamic.Reload do
     state
   end
 
-  defp rebuild(server, origin, handle) do
+  @doc false
+  def rebuild(server, origin, handle) do
     Process.put(:situ_pipeline, server)
     send(server, {:situ_rebuilt, self(), build_graph(origin, handle, @attempts)})
 

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   @moduledoc false
   # Replaces the module or the options of a running component. Each stage handles one replacement at a time, in the
   # order of the requests. A waiting request is checked against the component at the time when it begins.
-  alias Situ.{Error, Type}
+  alias Situ.{Error, Runtime, Type}
   alias Situ.Component.FunctionSwap
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
@@ -14,7 +14,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     with {:ok, vertex} <- State.fetch_vertex(state, node),
          {:ok, stage, _index} <- State.fetch_stage(state, vertex.id) do
       ref = make_ref()
-      if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, timeout}, timeout)
+      if timeout != :infinity, do: Runtime.send_after({:situ_late, ref, timeout}, timeout)
       enqueue_request(state, stage.id, %{ref: ref, vertex: vertex.id, change: change, from: from})
     else
       {:error, error} ->

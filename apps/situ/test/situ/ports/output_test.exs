@@ -1,0 +1,94 @@
+defmodule Situ.Ports.OutputTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Delivery
+  alias Situ.Ports.{Counters, Output, PostingRules, Subscriber}
+
+  setup do
+    counters = Counters.new()
+    sub = Subscriber.new(1, self(), counters, Delivery.unlimited())
+    {:ok, output: Output.subscribe(Output.new(:out, "A", 1), sub), counters: counters}
+  end
+
+  defp post(output, times) do
+    {:ok, output} = PostingRules.emit_columns(output, {times, times}, 0, false, nil)
+    Output.flush(output, 0)
+  end
+
+  defp ask(output, pid, n) do
+    {:ok, output} = Output.add_demand(output, {pid, 1}, n)
+    output
+  end
+
+  defp received do
+    receive do
+      {:"$gen_consumer", {_, 1}, {:cancel, {:shutdown, {:closed, time}}}} ->
+        [{:closed, time} | received()]
+
+      {:"$gen_consumer", {_, 1}, batches} ->
+        Enum.flat_map(batches, &Situ.Delivery.Batch.data/1) ++ received()
+    after
+      0 -> []
+    end
+  end
+
+  test "a consumer that is replaced after the closing mark gets it again, after what was not handled",
+       %{output: output, counters: counters} do
+    output = output |> ask(self(), 10) |> post([1, 2, 3]) |> Output.close(3) |> Output.flush(0)
+    assert received() == [1, 2, 3, {:closed, 3}]
+    assert Output.drained?(output)
+
+    Counters.count_processed(counters, 1, 0, 0)
+    output = Output.replace_consumer(output, 1, self())
+    refute Output.drained?(output)
+    assert received() == []
+
+    output = ask(output, self(), 10)
+    assert received() == [2, 3, {:closed, 3}]
+    assert Output.drained?(output)
+  end
+
+  test "a consumer that has handled everything gets only the closing mark again",
+       %{output: output, counters: counters} do
+    output = output |> ask(self(), 10) |> post([1]) |> Output.close(1) |> Output.flush(0)
+    assert received() == [1, {:closed, 1}]
+
+    Counters.count_processed(counters, 1, 0, 0)
+    assert Output.drained?(Output.replace_consumer(output, 1, self()))
+    assert received() == [{:closed, 1}]
+  end
+
+  describe "a process that replaces a dead one" do
+    setup %{output: output} do
+      {:ok, marks: Output.new_marks(1), output: output}
+    end
+
+    test "continues after what was sent", %{output: output, marks: marks} do
+      output |> Output.attach_marks(marks, 0) |> ask(self(), 2) |> post([1, 2])
+      assert Output.attach_marks(Output.new(:out, "A", 1), marks, 0).last_time == 2
+    end
+
+    test "posts again what was waiting, also if an earlier one has died without posting",
+         %{output: output, marks: marks} do
+      output |> Output.attach_marks(marks, 0) |> ask(self(), 2) |> post([1, 2, 3])
+      assert Output.attach_marks(Output.new(:out, "A", 1), marks, 0).last_time == nil
+
+      sub = Subscriber.new(1, self(), Counters.new(), Delivery.unlimited())
+      idle = Output.subscribe(Output.new(:out, "A", 1), sub)
+      idle |> Output.attach_marks(marks, 0) |> Output.flush(0)
+      assert Output.attach_marks(Output.new(:out, "A", 1), marks, 0).last_time == nil
+    end
+
+    test "posts again what has not passed through the next step of its stage", %{marks: marks} do
+      sub = Subscriber.new_local({:step, 1}, Counters.new())
+      output = Output.new(:out, "A", 1) |> Output.subscribe(sub) |> Output.attach_marks(marks, 0)
+
+      {[_taken], _output} = output |> post([1, 2]) |> Output.take_local()
+      assert Output.attach_marks(Output.new(:out, "A", 1), marks, 0).last_time == nil
+
+      {[_taken], output} = output |> post([1, 2]) |> Output.take_local()
+      Output.record_progress(output)
+      assert Output.attach_marks(Output.new(:out, "A", 1), marks, 0).last_time == 2
+    end
+  end
+end

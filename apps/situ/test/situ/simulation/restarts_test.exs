@@ -1,0 +1,140 @@
+defmodule Situ.Simulation.RestartsTest do
+  # Components die at every point of a pipeline's life. Nothing is lost, and nothing is delivered twice.
+  use ExUnit.Case, async: true
+
+  alias Situ.{Delivery, Pipeline, Simulation, Test.Budget}
+  alias Situ.Fixture.{Pass, Simulated}
+
+  @moduletag timeout: :infinity
+  @schedules 300 * Budget.repeat_factor()
+  @killed [name: "Killed", on_error: :restart]
+
+  defp numbers(p, opts \\ []), do: Situ.from_enumerable(p, 1..20, [every: 1] ++ opts)
+
+  defp check(build),
+    do:
+      Simulation.check(fn -> Simulated.check_values(build, 1..20) end,
+        schedules: @schedules,
+        kill: ["Killed", "Killed"]
+      )
+
+  test "of a component" do
+    check(&(numbers(&1) |> Situ.via(Pass, @killed) |> Situ.map(fn n -> n end, async: true)))
+  end
+
+  test "of a component with a short queue" do
+    policy = Delivery.throttle(2)
+
+    check(fn p ->
+      p
+      |> numbers()
+      |> Situ.via(Pass, [policy: policy] ++ @killed)
+      |> Situ.map(& &1, async: true, policy: policy)
+    end)
+  end
+
+  test "of a chain of operators" do
+    check(fn p ->
+      p |> numbers() |> Situ.map(& &1, [async: true] ++ @killed) |> Situ.map(& &1, async: true)
+    end)
+  end
+
+  test "of a component with operators in its process" do
+    check(fn p ->
+      p
+      |> numbers()
+      |> Situ.via(Pass, @killed)
+      |> Situ.map(& &1, policy: Delivery.synchronous(), on_error: :restart)
+    end)
+  end
+
+  test "of a source" do
+    check(&(numbers(&1, @killed) |> Situ.map(fn n -> n end, async: true)))
+  end
+
+  test "of an input of a join" do
+    check(fn p ->
+      other = p |> numbers() |> Situ.via(Pass, @killed)
+      p |> numbers() |> Situ.join(other) |> Situ.map(&elem(&1, 0))
+    end)
+  end
+
+  test "while two other processes change the pipeline" do
+    Simulation.check(&change_pipeline/0,
+      schedules: div(@schedules, 2),
+      kill: ["Map", "A.Map", "A.Sink", "B.Sink"]
+    )
+  end
+
+  defp change_pipeline do
+    me = self()
+    {:ok, p} = Pipeline.start(&build(&1, me), pipeline: [max_restarts: 1_000])
+
+    for {name, from} <- [{"A", :checkpoint}, {"B", :fresh}],
+        do: Simulation.spawn_process(name, fn -> change(p, me, name, from) end)
+
+    for name <- ["A", "B"], do: receive(do: ({:changed, ^name} -> :ok))
+    check_main_stream(Pipeline.await(p), drain([]))
+  end
+
+  defp build(p, me) do
+    p
+    |> Situ.from_enumerable(0..40, every: 1_000_000)
+    |> Situ.map(& &1, async: true, name: "Map", on_error: :restart)
+    |> Situ.name("main")
+    |> Situ.each(&send(me, {:main, &1}), async: true)
+  end
+
+  defp change(p, me, name, from) do
+    for _ <- 1..2 do
+      result = Pipeline.extend(p, &add_part(&1, me, name))
+      refused(result, [:not_running, :duplicate_name, :component_killed])
+
+      result = Pipeline.stop_part(p, name, checkpoint: from == :checkpoint)
+      refused(result, [:not_running, :unknown_component, :component_killed])
+
+      result = Pipeline.start_part(p, name, from: from)
+
+      codes = [
+        :not_running,
+        :unknown_component,
+        :component_killed,
+        :still_running,
+        :no_checkpoint
+      ]
+
+      refused(result, codes)
+      refused(Pipeline.remove(p, name), [:not_running, :unknown_component, :component_killed])
+    end
+
+    send(me, {:changed, name})
+  end
+
+  defp add_part(p, me, name) do
+    Situ.composite(Pipeline.stream(p, "main"), name, fn stream ->
+      stream
+      |> Situ.map(& &1, async: true, on_error: :restart, name: "Map")
+      |> Situ.each(&send(me, {name, &1}), async: true, name: "Sink")
+    end)
+
+    :ok
+  end
+
+  defp refused({:error, %{code: code}}, codes), do: assert(code in codes)
+  defp refused(_done, _codes), do: :ok
+
+  defp check_main_stream({:ok, _report}, seen), do: assert(seen == Enum.to_list(0..40))
+
+  defp check_main_stream({:error, error}, seen) do
+    assert error.code == :component_killed
+    assert seen == Enum.take(0..40, length(seen))
+  end
+
+  defp drain(seen) do
+    receive do
+      {:main, n} -> drain([n | seen])
+    after
+      0 -> Enum.reverse(seen)
+    end
+  end
+end
