@@ -40,7 +40,9 @@ defmodule Situ.SimulationTest do
 
   # The first use of a module loads it, which may take seconds on a busy machine.
   setup_all do
-    for seed <- 0..3, do: Simulation.run(fn -> Situ.to_list(&zip/1) end, seed: seed, kill: ["Zip"])
+    for seed <- 0..3,
+        do: Simulation.run(fn -> Situ.to_list(&zip/1) end, seed: seed, kill: ["Zip"])
+
     Simulation.run(fn -> Situ.to_list(&(numbers(&1) |> Situ.map_async(fn n -> n end))) end)
     :ok
   end
