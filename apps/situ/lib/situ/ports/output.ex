@@ -126,6 +126,8 @@ defmodule Situ.Ports.Output do
 
   @doc "Records that everything posted has left the stage, if nothing waits for the demand of a subscriber."
   @spec record_progress(t()) :: t()
+  def record_progress(%__MODULE__{port: %{mark: nil}} = output), do: output
+
   def record_progress(%__MODULE__{port: %{mark: {marks, base}}} = output) do
     if all_sent?(output),
       do: for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3)))

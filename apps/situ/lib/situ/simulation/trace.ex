@@ -44,6 +44,10 @@ defmodule Situ.Simulation.Trace do
   defp describe_message({:situ_stage, id, event}, names),
     do: "the report of stage #{id}: #{inspect_term(event, names)}"
 
+  # To one stage of a shared process.
+  defp describe_message({:situ, {:to, _id, request}}, names),
+    do: describe_message({:situ, request}, names)
+
   defp describe_message({:situ, request}, names)
        when is_tuple(request) and elem(request, 0) == :start,
        do:

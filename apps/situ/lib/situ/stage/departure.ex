@@ -1,7 +1,27 @@
 defmodule Situ.Stage.Departure do
   @moduledoc false
   # The part of a shared process in the move of a stage to its own process (see Relocation).
-  alias Situ.Stage.{Relocation, SharedProcess, State, Step}
+  alias Situ.Stage.{Load, Relocation, SharedProcess, State, Step}
+
+  @check_every 8
+
+  @doc """
+  Counts a time slice that did not finish. After several of them, the stage with the largest share leaves the process if
+  it is heavy.
+  """
+  @spec check_load(SharedProcess.t()) :: SharedProcess.t()
+  def check_load(%{saturated: n} = process) when n < @check_every,
+    do: %{process | saturated: n + 1}
+
+  def check_load(%{members: members} = process) when map_size(members) > 1 do
+    {id, state} = Enum.max_by(members, fn {_id, state} -> state.load.busy end)
+    heavy? = Load.heavy?(state)
+    members = Map.new(members, fn {id, state} -> {id, Load.start_check(state)} end)
+    process = %{process | members: members, saturated: 0}
+    if heavy?, do: begin(process, id, members[id]), else: process
+  end
+
+  def check_load(process), do: %{process | saturated: 0}
 
   @doc "Begins to move a stage, with its present state, to its own process. The last stage has nobody to delay."
   @spec begin(SharedProcess.t(), pos_integer(), State.t()) :: SharedProcess.t()

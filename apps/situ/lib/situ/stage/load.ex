@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Load do
   @moduledoc false
-  # Measures the load of a stage in a shared process, and decides when it needs a process of its own. Pure.
+  # Measures the load of a stage in a shared process, and decides when it needs a separate process. Pure.
   #
   # The time per message is the shortest of a few runs: on a busy machine, a run can take long because the system runs
   # other programs in between.

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Relocation do
   @moduledoc false
-  # Moves a stage from a shared process to one of its own, where it cannot delay others. Pure, except for the loop in
+  # Moves a stage from a shared process to a separate one, where it cannot delay others. Pure, except for the loop in
   # which the new process takes over. Nothing changes for neighbours in other processes: they keep sending to the shared
   # process, which forwards their messages (`relay`). No message can overtake another one in this way.
   #

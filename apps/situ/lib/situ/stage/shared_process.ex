@@ -1,8 +1,8 @@
 defmodule Situ.Stage.SharedProcess do
   @moduledoc false
-  # The process of several light stages. Each of them is a stage as in a process of its own, with the same state and
-  # protocol (see Situ.Stage): only the messages between them wait in a local queue, where they are neither copied nor
-  # wake up a process. See docs/adr/0012-light-stages-share-a-process.md.
+  # The process of several light stages. Each of them has the same state and protocol as in a separate process (see
+  # Situ.Stage). The messages between them wait in a local queue, so they are not copied and wake up no process.
+  # See docs/adr/0012-light-stages-share-a-process.md.
   use GenServer
   require Situ.Stage.Pause
 
@@ -12,8 +12,6 @@ defmodule Situ.Stage.SharedProcess do
   alias Situ.Stage.{Departure, Load, Loop, Pause, RequestHandler, State, Step, Subscriptions}
 
   @slice_ns 5_000_000
-  # The load is checked after so many time slices that did not finish.
-  @check_every 8
 
   defstruct members: %{},
             consumers: %{},
@@ -235,22 +233,7 @@ defmodule Situ.Stage.SharedProcess do
   defp end_slice(%{waiting: [], sources: []} = process),
     do: {:noreply, %{process | saturated: 0}}
 
-  defp end_slice(process), do: {:noreply, process |> check_load() |> schedule_slice()}
-
-  # While the process has more to do than time, the stage with the largest share leaves it, if it is worth its own
-  # process.
-  defp check_load(%{saturated: n} = process) when n < @check_every,
-    do: %{process | saturated: n + 1}
-
-  defp check_load(%{members: members} = process) when map_size(members) > 1 do
-    {id, state} = Enum.max_by(members, fn {_id, state} -> state.load.busy end)
-    heavy? = Load.heavy?(state)
-    members = Map.new(members, fn {id, state} -> {id, Load.start_check(state)} end)
-    process = %{process | members: members, saturated: 0}
-    if heavy?, do: Departure.begin(process, id, members[id]), else: process
-  end
-
-  defp check_load(process), do: %{process | saturated: 0}
+  defp end_slice(process), do: {:noreply, process |> Departure.check_load() |> schedule_slice()}
 
   defp schedule_slice(process) do
     send(self(), :situ_turn)

@@ -23,8 +23,8 @@ defmodule Situ.Stage.Work do
   if the component still has output left although they have. `singly` is the number of messages of a failed batch that
   are still to be handled one by one. `looked` is how many messages had been taken at the server's last check for
   progress. `spent` is the number of messages handled since the counts were published, and the ns that they took.
-  `time` is the monotonic time (ns) at which that was last counted. `shortest` is the shortest time (ns) per message that
-  was noted. `failure` is the error that ended the step.
+  `time` is the monotonic time (ns) at which that was last counted. `shortest` is the shortest time (ns) per message.
+  `failure` is the error that ended the step.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),

@@ -80,7 +80,7 @@ defmodule Situ.Ports.OutputTest do
     end
 
     test "posts again what has not passed through the next step of its stage", %{marks: marks} do
-      sub = Subscriber.new_local({:step, 1}, Counters.new())
+      sub = Subscriber.new_local({:step, 1}, self(), Counters.new())
       output = Output.new(:out, "A", 1) |> Output.subscribe(sub) |> Output.attach_marks(marks, 0)
 
       {[_taken], _output} = output |> post([1, 2]) |> Output.take_local()
