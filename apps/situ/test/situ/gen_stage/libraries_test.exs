@@ -309,9 +309,9 @@ if System.get_env("SITU_GENSTAGE") do
       {early, []} = acked([], [])
       for n <- early, do: assert(:ets.member(table, n))
       {:ok, p} = Pipeline.start(build, [])
-      left = 5_000 - length(Enum.uniq(early))
-      {good, []} = await_acked(left)
-      assert Enum.sort(Enum.uniq(early ++ good)) == Enum.to_list(1..5_000)
+      # A killed pipeline may still have acknowledged events that were delivered again.
+      {good, []} = await_acked(5_000, early)
+      assert Enum.sort(Enum.uniq(good)) == Enum.to_list(1..5_000)
       assert :ets.info(table, :size) == 5_000
       assert {:ok, _} = Pipeline.stop(p)
     end
