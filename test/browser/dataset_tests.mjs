@@ -41,6 +41,16 @@ async function onDisk(probe, what) {
   throw new Error(`timed out waiting until ${what}`);
 }
 
+// Returns a function that restores the dataset and the folder. All tests use them, also those after a failed one.
+function restoreLater() {
+  const before = readFileSync(file, "utf8");
+  return () => {
+    writeFileSync(file, before);
+    for (const made of ["a copy.json", "ten seconds.0000"])
+      rmSync(`${folder}/${made}`, { recursive: true, force: true });
+  };
+}
+
 test("6 datasets: the tree shows sessions, recordings and streams; search covers all their texts", async ({
   page,
   shot,
@@ -90,7 +100,9 @@ test("6 datasets: the tree shows sessions, recordings and streams; search covers
 
 test("6 datasets: sessions are created, renamed, filled and removed; metadata and tags are kept", async ({
   page,
+  cleanUp,
 }) => {
+  cleanUp(restoreLater());
   await dataset(page);
   await menu(page, "Lobby study", "New session…");
   await answer(page, "p04");
@@ -139,10 +151,35 @@ test("6 datasets: sessions are created, renamed, filled and removed; metadata an
   equal(session("p01").tags, ["pilot", "by hand"], "the external edit is kept");
 });
 
+test("6 datasets: a dialog keeps what was entered while the page changes", async ({ page, cleanUp }) => {
+  cleanUp(restoreLater());
+  await dataset(page);
+  await menu(page, "p01", "Unfold all below");
+  await menu(page, "Room", "Save a section as a recording…");
+  await page.fill("#part [name=name]", "ten seconds");
+  await page.fill("#part [name=to]", "10");
+  // Edits the file outside the studio, so that the page changes while the dialog is open.
+  const now = saved();
+  now.sessions[0].tags.push("meanwhile");
+  writeFileSync(file, JSON.stringify(now, null, 2));
+  await until(
+    page,
+    () => [...document.querySelectorAll("#tree .tag")].some((e) => e.textContent === "meanwhile"),
+    "the external edit is shown",
+  );
+  equal(
+    await page.$$eval("#part input", (inputs) => inputs.map((e) => e.value)),
+    ["ten seconds", "0", "10"],
+    "the dialog's fields",
+  );
+});
+
 test("6 datasets: a moved recording is found again, a section is saved, a copy of the dataset is opened", async ({
   page,
   shot,
+  cleanUp,
 }) => {
+  cleanUp(restoreLater());
   await dataset(page);
   await page.selectOption(".pick select", "bytes_per_hour");
   await until(
@@ -184,11 +221,6 @@ test("6 datasets: a moved recording is found again, a section is saved, a copy o
   ok(copied.sessions[3].partitions.length > 5, "with everything that was missing in it");
   await menu(page, copied.sessions[3].name, "Remove from the dataset");
   await confirm(page);
-  const lost = saved();
-  lost.sessions[2].partitions[0].path = "lost.0000";
-  writeFileSync(file, JSON.stringify(lost, null, 2));
-  rmSync(`${folder}/a copy.json`);
-  rmSync(`${folder}/ten seconds.0000`, { recursive: true });
 });
 
 test("6 datasets: a session of two recordings is shown on one time axis", async ({ page, shot }) => {

@@ -87,7 +87,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
   };
   const words = filter.split("|");
   const wanted = tests.filter(({ name }) => words.some((w) => name.includes(w)));
-  // Runs one test in a new context, and returns whether it passed.
+  // Runs one test in a new context, and then the functions that it gave to `cleanUp`. Returns whether it passed.
   const attempt = async ({ name, run }) => {
     let passed = false;
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
@@ -104,8 +104,10 @@ export async function runAll({ filter = "", times = 1, shots }) {
       mkdirSync(shots, { recursive: true });
       await page.screenshot({ path: join(shots, `${file}.png`) });
     };
+    const cleanups = [];
+    const cleanUp = (fun) => cleanups.push(fun);
     try {
-      await run({ page, context, browser, shot });
+      await run({ page, context, browser, shot, cleanUp });
       if (errors.length) throw new Error(`the page raised: ${errors.join("; ")}`);
       passed = true;
     } catch (error) {
@@ -115,6 +117,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
         await page.screenshot({ path: join(shots, `failed-${name.replace(/\W+/g, "-")}.png`) }).catch(() => {});
     }
     await context.close();
+    for (const fun of cleanups) await fun();
     return passed;
   };
   const runs = wanted.flatMap((t) => Array(times).fill(t));

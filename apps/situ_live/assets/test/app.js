@@ -1,7 +1,7 @@
 // The page of the browser test: the stock clients, our hooks, and counters that the test reads.
 import { Socket } from "phoenix";
 import { LiveSocket } from "phoenix_live_view";
-import { SituFlow, connectParams } from "../js/situ_live.js";
+import { SituFlow, connectParams, domCallbacks } from "../js/situ_live.js";
 
 const seen = (window.seen = { points: [], ticks: 0, ticked: 0, mounted: 0, reconnected: 0, acks: 0 });
 
@@ -19,6 +19,10 @@ const Canvas = {
   },
 };
 
-const liveSocket = new LiveSocket("/live", Socket, { params: connectParams, hooks: { Canvas, SituFlow } });
+const liveSocket = new LiveSocket("/live", Socket, {
+  params: connectParams,
+  dom: domCallbacks,
+  hooks: { Canvas, SituFlow },
+});
 liveSocket.connect();
 window.liveSocket = liveSocket;

@@ -98,6 +98,33 @@ try {
   await waitForText("#note", "saved hello world");
   check("submit", true);
 
+  const readEntries = () =>
+    page.$$eval("#entries [name]", (fields) =>
+      fields.map((f) => (f.type === "checkbox" ? f.checked : f.value)).join(),
+    );
+  await page.fill("#entries [name=name]", "bob");
+  await page.check("#entries [name=on]");
+  await page.fill("#entries [name=text]", "more");
+  await page.selectOption("#entries [name=kind]", "a");
+  await page.fill("#entries [name=count]", "99");
+  await page.click("#inc");
+  await waitForText("#count", "5");
+  const entries = [await readEntries()];
+  await page.click("#inc");
+  await waitForText("#count", "6");
+  entries.push(await readEntries());
+  check(
+    "a form without phx-change keeps its entries until the server changes a value",
+    entries.join(" ") === "bob,true,more,a,5 bob,true,more,a,6",
+    entries.join(" "),
+  );
+  await page.evaluate(() => document.querySelector("#entries").reset());
+  check(
+    "and the server's values when it is reset",
+    (await readEntries()) === "ann,false,some,b,6",
+    await readEntries(),
+  );
+
   const reply = await page.evaluate(
     () => new Promise((done) => window.hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))),
   );
@@ -147,7 +174,7 @@ try {
   await waitForText("#note", "len 18");
   await page.click("#crash");
   await waitUntil(() => window.seen.reconnected >= 1);
-  check("an exception remounts the view", count === "4" && (await readText("#count")) === "0");
+  check("an exception remounts the view", count === "6" && (await readText("#count")) === "0");
   await waitForText("#note", "len 18");
   check("and keeps the text of the form", (await page.inputValue("#q")) === "typed before crash");
   await page.click("#inc");

@@ -57,14 +57,16 @@ defmodule Situ.Live do
 
       import {Socket} from "phoenix"
       import {LiveSocket} from "phoenix_live_view"
-      import {SituFlow, connectParams} from "situ_live"       // apps/situ_live/assets/js/situ_live.js
+      import {SituFlow, connectParams, domCallbacks} from "situ_live"  // apps/situ_live/assets/js/situ_live.js
 
-      new LiveSocket("/live", Socket, {params: connectParams, hooks: {SituFlow, ...mine}}).connect()
+      const options = {params: connectParams, dom: domCallbacks, hooks: {SituFlow, ...mine}}
+      new LiveSocket("/live", Socket, options).connect()
 
   `SituFlow` acknowledges each diff that the server sends on its own initiative, so that only one is in flight. Pages
-  work without it, but a slow browser may lag. The layout is a component that receives `@page_title` and
-  `@inner_content` and writes the `<html>` element, with a `<script defer src=...>`. The content security policy
-  blocks inline scripts.
+  work without it, but a slow browser may lag. `domCallbacks` keeps what was entered into a form without `phx-change`
+  when the page changes. The stock client alone keeps only the focused field. The layout is a component that receives
+  `@page_title` and `@inner_content` and writes the `<html>` element, with a `<script defer src=...>`. The content
+  security policy blocks inline scripts.
 
   ## Limits and access control
 

@@ -139,6 +139,12 @@ defmodule Situ.Live.Demo.Main do
     <form id="f" phx-change="form" phx-submit="save">
       <input id="q" name="f[q]" value={@q} phx-debounce="0"><span id="note">{@note}</span>
     </form>
+    <form id="entries" phx-submit="enter">
+      <input name="name" value="ann"><input type="checkbox" name="on" value="true">
+      <textarea name="text">some</textarea>
+      <select name="kind"><option value="a">a</option><option value="b" selected>b</option></select>
+      <input name="count" value={@count}>
+    </form>
     <ul id="list">
       <li :for={r <- @rows} :key={r.id} id={"r#{r.id}"} class={r.v > 100 && "hot"}>
         {r.name}={r.v}

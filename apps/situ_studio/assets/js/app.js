@@ -2,7 +2,7 @@
 
 import { Socket } from "phoenix";
 import { LiveSocket } from "phoenix_live_view";
-import { SituFlow, connectParams } from "situ_live";
+import { SituFlow, connectParams, domCallbacks } from "situ_live";
 import { Studio } from "./studio.js";
 import { Navigator } from "./time/navigator.js";
 import { openPanel, isTimeline } from "./panels/index.js";
@@ -268,6 +268,7 @@ const hooks = {
 
 const liveSocket = new LiveSocket(new URL("live", document.baseURI).pathname, Socket, {
   params: connectParams,
+  dom: domCallbacks,
   hooks: { SituFlow, ...hooks },
 });
 liveSocket.disableDebug();

@@ -159,7 +159,7 @@ defmodule Situ.Bridge.Ros.Definition do
           {:cont, {:ok, %{message | constants: [constant | message.constants]}}}
 
         :error ->
-          {:halt, {:error, "#{name} has the invalid line #{inspect(String.slice(line, 0, 80))}"}}
+          {:halt, {:error, describe_bad_line(name, line)}}
       end
     end)
     |> case do
@@ -170,6 +170,16 @@ defmodule Situ.Bridge.Ros.Definition do
       error ->
         error
     end
+  end
+
+  # A definition comes from a file or a peer, so a name or a line may be invalid UTF-8, on which
+  # String.slice/3 may raise.
+  defp describe_bad_line(name, line) do
+    name = if String.valid?(name), do: name, else: inspect(name, limit: 80)
+
+    if String.valid?(line),
+      do: "#{name} has the invalid line #{inspect(String.slice(line, 0, 80))}",
+      else: "#{name} has the line #{inspect(line, limit: 80)}, which is not valid UTF-8"
   end
 
   # A string constant extends to the end of its line, including any `#`.

@@ -53,6 +53,27 @@ defmodule Situ.Bridge.Ros.DefinitionTest do
            ]
   end
 
+  # String.slice/3 raises on an emoji that invalid bytes follow.
+  test "rejects a line that is not valid UTF-8, and ignores such bytes in comments" do
+    bytes = "♻" <> <<181, 169>>
+    rule = String.duplicate("=", 80)
+
+    for {text, name} <- [
+          {"int32 x\n#{bytes} y", "a/A"},
+          {"b/B b\n#{rule}\nMSG: b/B\n#{bytes} y", "b/B"},
+          {"int32 x\n#{rule}\nMSG: b/#{bytes}\nint32 =", inspect("b/" <> bytes)}
+        ] do
+      assert {:error, why} = Definition.parse("a/A", text)
+      assert String.valid?(why)
+      assert why =~ name
+    end
+
+    assert {:error, why} = Definition.parse("a/A", "#{bytes} y")
+    assert why =~ "the line <<" and why =~ "not valid UTF-8"
+    assert {:ok, definition} = Definition.parse("a/A", "int32 x # #{bytes}")
+    assert definition.types["a/A"].fields == [{"x", :int32}]
+  end
+
   test "rejects unusable definitions, and says why" do
     assert {:error, why} = Definition.parse("a/A", "b/Nobody x")
     assert why =~ "b/Nobody"
