@@ -61,7 +61,7 @@ defmodule Situ.Delivery do
       type: {:in, [:redeliver, :drop]},
       default: :redeliver,
       doc:
-        "What happens to messages that a consumer had received, but not handled, when its process died and is " <>
+        "The treatment of messages that a consumer had received, but not handled, when its process died and is " <>
           "restarted. A policy that loses messages always drops them."
     ]
   ]

@@ -136,8 +136,8 @@ defmodule Situ.GenStage do
   @doc """
   Shares the messages of a stream among GenStage consumers outside the pipeline. `dispatcher` is one of:
 
-    * `:demand`: each message goes to one consumer, the one with the largest demand (of equal ones, the one that has
-      waited longest). What has not been sent to a consumer that leaves goes to the others.
+    * `:demand`: each message goes to the consumer with the largest demand, and among equals to the consumer that has
+      waited longest. If a consumer leaves, its unsent messages go to the others.
     * `:broadcast`: each message goes to every consumer once all have asked for it, so the slowest one sets the pace.
       A consumer that subscribes with `selector: fn message -> boolean end` receives only these messages, and the
       others do not count against its demand. A process can subscribe once.
@@ -190,14 +190,14 @@ defmodule Situ.GenStage do
       iex> drain.(drain, [], [])
       {[1, 3], [2]}
 
-  Choose `done` by what must be safe first: the result of `Situ.each/3` has a message once the function has returned,
-  and `Situ.Store.write/4` with `after_commit: true` returns the messages that are in the recording.
+  Choose `done` by the result that must be safe first: the result of `Situ.each/3` has a message once the function has
+  returned, and `Situ.Store.write/4` with `after_commit: true` returns the messages that are in the recording.
   `acknowledge(events, events)` acknowledges events as soon as the pipeline has taken them.
 
   An event is successful when `done` has a message with its originating time. An event is missing when only later
   messages have arrived: a filter or a component with `on_error: :skip` dropped it. So `done` must keep the times of the
   events, as operators do unless they shift times. An event that has neither is not acknowledged, whether the pipeline
-  goes on, ends, fails or is killed. If the acknowledger raises, it may be called again with the same events.
+  continues, ends, fails or is killed. If the acknowledger raises, it may be called again with the same events.
 
   Events of Broadway producers are acknowledged by their `acknowledger`, with one call of `ack/3` for each reference.
   Options, in addition to `Situ.Graph.Placement`:

@@ -2,7 +2,7 @@ defmodule Situ.Fixture.Simulated do
   # Checks pipelines in a simulation.
   alias Situ.Pipeline
 
-  @doc "Returns what the pipeline's stream delivers, `[{sequence_id, value}]`, and its result."
+  @doc "Returns the messages of the pipeline's stream, `[{sequence_id, value}]`, and its result."
   def run(build) do
     {me, ref} = {self(), make_ref()}
     report = &send(me, {ref, &2.sequence_id, &1})

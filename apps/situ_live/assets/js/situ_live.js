@@ -12,9 +12,9 @@ export const SituFlow = {
 // The `params` of the LiveSocket: this page acknowledges diffs.
 export const connectParams = { situ_flow: "1" };
 
-// The `dom` option of the LiveSocket: a patch keeps what was entered into a form that the server receives only when it
-// is submitted. The stock client keeps the focused field and resets the others. A value that the server changes replaces
-// the entry.
+// The `dom` option of the LiveSocket: a patch keeps the entries of a form that the server receives only when it is
+// submitted. The stock client keeps the focused field and resets the others. A value that the server changes
+// replaces the entry.
 export const domCallbacks = {
   /**
    * @param {Element} from

@@ -63,7 +63,7 @@ defmodule Situ.Live do
       new LiveSocket("/live", Socket, options).connect()
 
   `SituFlow` acknowledges each diff that the server sends on its own initiative, so that only one is in flight. Pages
-  work without it, but a slow browser may lag. `domCallbacks` keeps what was entered into a form without `phx-change`
+  work without it, but a slow browser may lag. `domCallbacks` keeps the entries of a form without `phx-change`
   when the page changes. The stock client alone keeps only the focused field. The layout is a component that receives
   `@page_title` and `@inner_content` and writes the `<html>` element, with a `<script defer src=...>`. The content
   security policy blocks inline scripts.

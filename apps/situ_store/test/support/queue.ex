@@ -1,6 +1,6 @@
 defmodule Situ.Store.Test.Queue do
   @moduledoc false
-  # A GenStage producer of numbers that sends what has not been acknowledged again to its next consumer, as a message
+  # A GenStage producer of numbers that sends unacknowledged events again to its next consumer, as a message
   # queue does. Acknowledged numbers are appended to a file, which survives a kill of the system.
   use GenServer
 

@@ -12,8 +12,8 @@ defmodule Situ.GenStage.Acknowledgements do
   @typedoc "The event's originating time, the event, and the clock time at which it arrived."
   @type event :: {Situ.Time.t(), term(), Situ.Time.t()}
   @typedoc """
-  `times` are those of messages whose events may not have arrived yet; `last_event` and `reached` are the last times of
-  both.
+  `times` are the times of messages whose events may not have arrived yet; `last_event` and `reached` are the last times
+  of both.
   """
   @type t :: %__MODULE__{
           missing: :failed | :successful,

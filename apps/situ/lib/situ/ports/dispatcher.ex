@@ -4,7 +4,7 @@ defmodule Situ.Ports.Dispatcher do
   # is a pure module that decides which consumer receives which message; this module sends the messages.
   #
   # Messages without a consumer wait, and the output has no room before a consumer asks. Once the pipeline is being
-  # stopped, `discard_unclaimed/1` drops what no consumer claims.
+  # stopped, `discard_unclaimed/1` drops messages that no consumer claims.
   # See docs/adr/0166-outputs-can-have-a-dispatcher.md.
   alias Situ.{Error, Message}
   alias Situ.Ports.Dispatcher.{Broadcast, Demand, Partition}
@@ -33,7 +33,7 @@ defmodule Situ.Ports.Dispatcher do
   @callback add_demand(strategy(), key(), pos_integer()) :: strategy()
   @doc "Adds messages, which wait for demand."
   @callback push(strategy(), [Message.t()]) :: {[failure()], strategy()}
-  @doc "Takes what the consumers have asked for."
+  @doc "Takes the messages that the consumers have asked for."
   @callback take(strategy()) :: {[{key(), [Message.t(), ...]}], [failure()], strategy()}
   @doc "Returns how many more messages the consumers have asked for; negative while messages wait."
   @callback available_room(strategy()) :: integer()
@@ -76,7 +76,7 @@ defmodule Situ.Ports.Dispatcher do
 
   defp key(%{pid: pid, tag: tag}), do: {pid, tag}
 
-  @doc "Adds demand and sends what waits for it. Returns `:error` for an unknown consumer."
+  @doc "Adds demand and sends the messages that wait for it. Returns `:error` for an unknown consumer."
   @spec add_demand(t(), key(), pos_integer() | :infinity) :: {:ok, t()} | :error
   def add_demand(dispatcher, key, :infinity), do: add_demand(dispatcher, key, @endless)
 
@@ -124,7 +124,7 @@ defmodule Situ.Ports.Dispatcher do
     end)
   end
 
-  @doc "Removes consumers; others receive what has not been sent to them."
+  @doc "Removes consumers; others receive their unsent messages."
   @spec remove_consumers(t(), (Subscriber.t() -> boolean())) :: t()
   def remove_consumers(%__MODULE__{module: module} = dispatcher, which?) do
     case Enum.split_with(dispatcher.consumers, which?) do
@@ -146,7 +146,7 @@ defmodule Situ.Ports.Dispatcher do
   @spec waiting_count(t()) :: non_neg_integer()
   def waiting_count(%__MODULE__{module: module} = d), do: module.waiting_count(d.strategy)
 
-  @doc "Drops from now on what no consumer claims, because the pipeline is being stopped."
+  @doc "Drops from now on messages that no consumer claims, because the pipeline is being stopped."
   @spec discard_unclaimed(t()) :: t()
   def discard_unclaimed(%__MODULE__{discards?: true} = dispatcher), do: dispatcher
   def discard_unclaimed(dispatcher), do: drop_unclaimed(%{dispatcher | discards?: true})

@@ -13,7 +13,7 @@ defmodule Situ.Ports.Outputs do
           dispatcher: Dispatcher.t() | nil
         }
 
-  @doc "Builds the outputs of a vertex; those from `first` on in `marks` hold their recorded progress."
+  @doc "Builds the outputs of a vertex; the ones from `first` on in `marks` hold their recorded progress."
   @spec new(Vertex.t(), Output.marks() | nil, non_neg_integer()) :: t()
   def new(vertex, marks, first) do
     own =
@@ -61,7 +61,7 @@ defmodule Situ.Ports.Outputs do
   def put_dispatcher(%__MODULE__{own: [{name, output}]} = outputs, dispatcher),
     do: %{outputs | own: [{name, Output.forget_marks(output)}], dispatcher: dispatcher}
 
-  @doc "Drops from now on what no consumer outside claims, because the pipeline is being stopped."
+  @doc "Drops from now on messages that no consumer outside claims, because the pipeline is being stopped."
   @spec discard_unclaimed(t()) :: t()
   def discard_unclaimed(%__MODULE__{dispatcher: dispatcher} = outputs),
     do: %{outputs | dispatcher: Dispatcher.discard_unclaimed(dispatcher)}

@@ -182,7 +182,7 @@ defmodule Situ.Simulation.Scheduler do
 
   defp now(%{shared: %{time: time}}), do: :atomics.get(time, 1)
 
-  # Of the timers that are due at the same time, any may be first.
+  # Any of the timers that are due at the same time may be first.
   defp fire_timer(%{shared: shared} = state) do
     due = Timers.list_next(state.timers, now(state))
     n = length(due)
@@ -201,7 +201,7 @@ defmodule Situ.Simulation.Scheduler do
     receive_report(state, {pid, kind, System.monotonic_time(:microsecond)})
   end
 
-  # Receives what a process reports until its turn ends.
+  # Receives the reports of a process until its turn ends.
   defp receive_report(%{shared: %{ref: ref}} = state, turn) do
     receive do
       {^ref, :rest, pid, handled} ->

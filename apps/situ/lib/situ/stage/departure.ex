@@ -47,7 +47,7 @@ defmodule Situ.Stage.Departure do
 
   @doc "Forwards the kept messages to the new process of a stage."
   @spec finish(SharedProcess.t(), pos_integer(), pid()) :: SharedProcess.t()
-  # Messages that still wait for the stage come before those that its neighbors will send to the new process.
+  # Messages that still wait for the stage come before messages that its neighbors will send to the new process.
   def finish(%{waiting: waiting} = process, id, pid) do
     {own, waiting} = Enum.split_with(waiting, &match?({^id, _message}, &1))
     process = %{process | waiting: waiting}

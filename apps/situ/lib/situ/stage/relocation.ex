@@ -20,7 +20,7 @@ defmodule Situ.Stage.Relocation do
   end
 
   @doc """
-  Returns the state of the stage for its own process, and where its requests and those of its consumers come from:
+  Returns the state of the stage for its own process, and where its requests and its consumers' requests come from:
   the producers in other processes by `{:producer, tag}`, and `{:consumer, tag}` for each consumer in the process
   `shared`, which the stage leaves.
   """

@@ -213,7 +213,7 @@ defmodule Situ.Stage.SharedProcess do
   defp run_stage(process, id, message), do: run_messages(process, [{id, message}])
   defp run_stages(process, ids, message), do: run_messages(process, Enum.map(ids, &{&1, message}))
 
-  # While messages wait for another time slice, those of other processes, such as requests, come before them.
+  # Messages of other processes, such as requests, come before messages that wait for another time slice.
   defp run_messages(%{scheduled: true} = process, messages) do
     process = messages |> handle_messages(process) |> run_ready()
     end_slice(%{process | waiting: process.waiting ++ Address.take_local()})

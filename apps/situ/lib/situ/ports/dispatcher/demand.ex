@@ -1,6 +1,6 @@
 defmodule Situ.Ports.Dispatcher.Demand do
   @moduledoc false
-  # Sends every message to one consumer: the one with the largest demand, and of equal ones the one that has waited
+  # Sends every message to one consumer: the consumer with the largest demand, and among equals the one that has waited
   # longest.
   @behaviour Situ.Ports.Dispatcher
 

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Dispatcher.Partition do
   @moduledoc false
   # Sends every message to the consumer of its partition. All demand counts together, so the messages of a partition
-  # that receives more than its share wait for their consumer here, and so do those of a partition without a consumer.
+  # that receives more than its share wait for their consumer here, as do messages of a partition without a consumer.
   @behaviour Situ.Ports.Dispatcher
 
   alias Situ.{Error, Options}
