@@ -217,10 +217,12 @@ test("6 datasets: a moved recording is found again, a section is saved, a copy o
     () => /^1 session added|recordings added/.test(document.getElementById("toast").textContent),
     "said",
   );
-  const copied = JSON.parse(readFileSync(`${folder}/a copy.json`, "utf8"));
+  const copy = () => JSON.parse(readFileSync(`${folder}/a copy.json`, "utf8"));
+  const copied = copy();
   ok(copied.sessions[3].partitions.length > 5, "with everything that was missing in it");
   await menu(page, copied.sessions[3].name, "Remove from the dataset");
   await confirm(page);
+  await onDisk(() => copy().sessions.length === 3, "the session is out of the copy");
 });
 
 test("6 datasets: a session of two recordings is shown on one time axis", async ({ page, shot }) => {

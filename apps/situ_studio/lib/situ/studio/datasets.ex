@@ -13,7 +13,9 @@ defmodule Situ.Studio.Datasets do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
 
     with {:ok, dataset} <- Dataset.load(file, autosave: true),
-         {:ok, server} <- start_server(studio, name, dataset) do
+         {:ok, server} <- start_server(studio, name, dataset),
+         # The file may have changed since a process that already runs read it.
+         {:ok, _} <- reload_dataset(server, file) do
       :ok = Server.subscribe(server)
       {:ok, server}
     end

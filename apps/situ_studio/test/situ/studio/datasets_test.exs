@@ -100,6 +100,14 @@ defmodule Situ.Studio.DatasetsTest do
         do: assert({:error, %{code: :not_found}} = Catalog.open_source(studio, id))
   end
 
+  test "opening a dataset that is already open reads its file", %{studio: studio, study: file} do
+    {:ok, server} = Datasets.open_server(studio, file)
+    {:ok, other} = Dataset.load(file, autosave: true)
+    {:ok, _} = Dataset.add_session(other, "from elsewhere")
+    assert {:ok, ^server} = Datasets.open_server(studio, file)
+    assert {:ok, _} = Dataset.session(Dataset.Server.get_dataset(server), "from elsewhere")
+  end
+
   test "a session of two recordings has the streams of both on one time axis", context do
     %{studio: studio, study: file, dir: dir} = context
     {:ok, server} = Datasets.open_server(studio, file)
