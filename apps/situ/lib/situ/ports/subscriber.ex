@@ -78,7 +78,7 @@ defmodule Situ.Ports.Subscriber do
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()
   # A producer that was restarted at the same time has known this process from the start.
-  def replace_consumer(%__MODULE__{pid: pid} = sub, pid), do: sub
+  def replace_consumer(%__MODULE__{pid: pid, closed: false} = sub, pid), do: sub
 
   def replace_consumer(%__MODULE__{unacked: nil} = sub, pid) do
     {emitted, processed, dropped} = Counters.flow_counts(sub.counters)
