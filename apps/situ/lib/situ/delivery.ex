@@ -99,9 +99,10 @@ defmodule Situ.Delivery do
   Returns a lossless policy: the producer waits as soon as `n` messages are waiting for the consumer, in addition to
   the message being handled.
 
-  With `throttle(1)`, a light operator runs in the process of a producer that can wait; one message at a time is then
-  the natural limit. Between processes (other consumers, `async: true`) `throttle(1)` is expensive: two messages cost
-  two wake-ups, about 5 us. The default of 128 keeps few messages in flight at nearly the cost of `unlimited/1`.
+  Light operators that share a process take turns, so nothing has to be limited between them: a few hundred messages
+  can wait there. The limit applies between processes (other components, `async: true`, and operators that are so slow
+  that they get their own process). `throttle(1)` is expensive there: two messages cost two wake-ups, about 5 us. The
+  default of 128 keeps few messages in flight at nearly the cost of `unlimited/1`.
   """
   @spec throttle(pos_integer(), keyword()) :: t()
   def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,

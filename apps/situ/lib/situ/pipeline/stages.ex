@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
   # Spawns, wires and measures the processes of a pipeline. Carries out the decisions of the life cycle.
-  alias Situ.{Clock, Delivery, Lifecycle, Stage}
+  alias Situ.{Clock, Lifecycle, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
@@ -182,13 +182,11 @@ defmodule Situ.Pipeline.Stages do
 
     inlets =
       for link <- into, is_map_key(state.life.links.active, link.id) do
-        producer = producer_address(state.stages[link.from], state.stages[id])
-
         %{
           name: link.input,
           tag: link.id,
-          producer: producer,
-          policy: if(is_pid(producer), do: link.policy, else: Delivery.unlimited()),
+          producer: producer_address(state.stages[link.from], state.stages[id]),
+          policy: link.policy,
           counters: counters[link.id]
         }
       end
@@ -216,8 +214,7 @@ defmodule Situ.Pipeline.Stages do
     })
   end
 
-  # Stages that share a process send each other their messages without its mailbox. A message that one of them has
-  # posted does not wait for another process, so a throttle between them has nothing to limit.
+  # Stages that share a process send each other their messages without its mailbox.
   defp producer_address(%{pid: pid, id: from}, %{pid: pid, id: to, shared?: true}),
     do: {:local, from, to}
 

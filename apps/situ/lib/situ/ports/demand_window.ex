@@ -18,11 +18,15 @@ defmodule Situ.Ports.DemandWindow do
   @least 4
 
   @enforce_keys [:size]
-  defstruct [:size, weigh: false, unweighed: 0, owed: 0]
+  defstruct [:size, :limit, weigh: false, unweighed: 0, owed: 0]
 
-  @typedoc "`owed`: messages taken and not yet requested again; `unweighed`: messages until the next one is weighed."
+  @typedoc """
+  `owed`: messages taken and not yet requested again; `unweighed`: messages until the next one is weighed; `limit`: the
+  size that a throttle prescribes as soon as the producer is in another process.
+  """
   @type t :: %__MODULE__{
           size: pos_integer() | :infinity,
+          limit: pos_integer() | nil,
           weigh: boolean(),
           unweighed: integer(),
           owed: integer()
@@ -39,6 +43,27 @@ defmodule Situ.Ports.DemandWindow do
   # So many wait while one is handled.
   def new(%Delivery{kind: :throttle, window: n}) when is_integer(n), do: %__MODULE__{size: n + 1}
   def new(%Delivery{window: window}), do: %__MODULE__{size: window}
+
+  @doc """
+  Returns the window of an input whose producer is in the same process. The two take turns, so a throttle has nothing to
+  limit.
+  """
+  @spec new_local(Delivery.t()) :: t()
+  def new_local(%Delivery{kind: kind} = policy) when kind in [:throttle, :synchronous] do
+    case new(policy) do
+      %{size: :infinity} = window -> window
+      %{size: size} -> %{new(Delivery.unlimited()) | limit: size}
+    end
+  end
+
+  def new_local(policy), do: new(policy)
+
+  @doc "Applies the limit of a throttle, because the producer and the consumer have separate processes from now on."
+  @spec apply_limit(t()) :: t()
+  def apply_limit(%__MODULE__{limit: nil} = window), do: window
+
+  def apply_limit(%__MODULE__{limit: limit, size: size, owed: owed}),
+    do: %__MODULE__{size: limit, owed: owed + limit - size}
 
   @doc "Weighs the data of a batch's first message, which adjusts the window."
   @spec weigh_data(t(), term()) :: t()

@@ -62,7 +62,7 @@ defmodule Situ.Ports.Input do
       name: name,
       tag: tag,
       producer: producer,
-      window: DemandWindow.new(policy),
+      window: build_window(producer, policy),
       counters: opts.counters,
       sizes: opts.sizes,
       check:
@@ -70,6 +70,14 @@ defmodule Situ.Ports.Input do
       lossy: if(Delivery.lossy?(policy), do: {Queue.new(policy), 0})
     }
   end
+
+  defp build_window({:local, _, _}, policy), do: DemandWindow.new_local(policy)
+  defp build_window(_producer, policy), do: DemandWindow.new(policy)
+
+  @doc "Changes the address of the producer, which has left the process of the input, or the other way round."
+  @spec separate_producer(t(), Address.t()) :: t()
+  def separate_producer(%__MODULE__{} = input, address),
+    do: %{input | producer: address, window: DemandWindow.apply_limit(input.window)}
 
   @doc "Requests the first messages from the producer."
   @spec request_first(t()) :: term()

@@ -44,7 +44,7 @@ defmodule Situ.Stage.Relocation do
   defp readdress_step(step, host, shared) do
     input_address = fn
       %{producer: nil} = input -> input
-      %{producer: {:local, _, _}} = input -> %{input | producer: shared}
+      %{producer: {:local, _, _}} = input -> Input.separate_producer(input, shared)
       input -> %{input | producer: {:relay, shared}}
     end
 
@@ -99,7 +99,7 @@ defmodule Situ.Stage.Relocation do
   @spec readdress_neighbor(State.t(), pos_integer(), pid()) :: State.t()
   def readdress_neighbor(%State{} = state, id, pid) do
     input_address = fn
-      %{producer: {:local, ^id, _}} = input -> %{input | producer: pid}
+      %{producer: {:local, ^id, _}} = input -> Input.separate_producer(input, pid)
       input -> input
     end
 

@@ -1,7 +1,22 @@
 defmodule Situ.Ports.DemandWindowTest do
   use ExUnit.Case, async: true
+  alias Situ.Ports.DemandWindow
 
   @moduletag :capture_log
+
+  test "a throttle limits nothing while both stages share a process, and applies as soon as one leaves" do
+    window = DemandWindow.new_local(Situ.Delivery.throttle(2))
+    assert window.size == DemandWindow.new(Situ.Delivery.unlimited()).size
+    window = DemandWindow.weigh_data(%{window | owed: 4}, <<0>>)
+    assert window.size == 1_000
+
+    # It owes nothing until its producer has sent as much as was requested above the limit.
+    limited = DemandWindow.apply_limit(window)
+    assert {limited.size, limited.owed} == {3, window.owed - 997}
+
+    assert DemandWindow.apply_limit(DemandWindow.new_local(Situ.Delivery.unlimited())).limit ==
+             nil
+  end
 
   # Emits messages of `bytes` bytes forever and counts them.
   defmodule Source do
