@@ -114,6 +114,7 @@ defmodule Situ.Simulation do
   def spawn_process(name, fun) when is_binary(name) and is_function(fun, 0),
     do: Runtime.spawn_process(:erlang, name, {:erlang, :apply, [fun, []]}, [:link])
 
+  @spec raise_shrunk((() -> term()), Choices.t(), Result.t(), keyword()) :: no_return()
   defp raise_shrunk(fun, choices, %{failure: failure} = result, opts) do
     fails? = fn deviations ->
       again = run_schedule(fun, Choices.new(deviations, choices), opts, false)

@@ -139,6 +139,7 @@ defmodule Situ.Simulation.Shell do
   def system_get_state({_simulation, _module, state}), do: {:ok, state}
 
   @doc false
+  @spec system_terminate(term(), pid(), term(), {t(), module(), term()}) :: no_return()
   def system_terminate(reason, _parent, _debug, {_simulation, module, state}),
     do: stop(module, reason, state)
 
