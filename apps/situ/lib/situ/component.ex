@@ -164,10 +164,11 @@ defmodule Situ.Component do
   @callback options() :: Situ.Options.schema()
 
   @doc """
-  Returns whether light operators after the component run in its process. It is then as if they were part of its
-  callbacks: a slow operator delays the component, and no message waits between the two.
+  Returns whether the component may share a process with neighbouring light operators and components that return true,
+  too. They then take turns, and one that proves slow gets its own process. Such a component receives no plain messages
+  in `handle_info/3`, except its timers.
 
-  Defined by `use Situ.Component, share_process: true`. Without it, the operators run in a separate process.
+  Defined by `use Situ.Component, share_process: true`. Without it, the component has its own process.
   """
   @callback share_process?() :: boolean()
 

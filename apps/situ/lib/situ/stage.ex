@@ -198,10 +198,8 @@ defmodule Situ.Stage do
   defp handle_unknown(state, tag, _message) when is_integer(tag), do: state
   defp handle_unknown(state, _tag, message), do: Loop.handle_plain_message(state, message)
 
-  defp unless_over(%{quitting: true} = state),
-    do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})
-
-  defp unless_over(state), do: {:noreply, state}
+  defp unless_over(state),
+    do: if(State.over?(state), do: {:stop, :normal, state}, else: {:noreply, state})
 
   defp closing_time({:shutdown, {:closed, time}}, _state), do: time
   defp closing_time(_reason, state), do: Clock.now(state.host.clock)

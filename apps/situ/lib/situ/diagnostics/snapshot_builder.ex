@@ -9,7 +9,8 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
   @doc "Builds a snapshot. `view` holds the graph, the stages, the vertices of taps, and counters, totals and windows."
   @spec take_snapshot(map()) :: Snapshot.t()
   def take_snapshot(view) do
-    positions = index_vertices(view.stages)
+    processes = group_stages(view.stages)
+    positions = index_vertices(processes)
     names = Map.new(view.graph.stream_names, fn {name, port} -> {port, name} end)
     entries = Map.new(view.graph.edges, fn {id, edge} -> {elem(edge.to, 0), id} end)
     view = Map.merge(view, %{names: names, entries: entries})
@@ -31,13 +32,13 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
         |> Map.values()
         |> Enum.sort_by(& &1.id)
         |> Enum.map(&describe_edge(&1, view, positions)),
-      processes: view.stages |> group_stages() |> Enum.map(&describe_process/1)
+      processes: Enum.map(processes, &describe_process/1)
     }
   end
 
   # Stages that share a process have the number of the first of them.
-  defp index_vertices(stages) do
-    for [%{id: number} | _] = together <- group_stages(stages),
+  defp index_vertices(processes) do
+    for [%{id: number} | _] = together <- processes,
         stage <- together,
         {vertex, index} <- Enum.with_index(stage.vertices),
         into: %{},

@@ -32,14 +32,14 @@ defmodule Situ.GenStage.Acknowledgements do
   def add_events(%__MODULE__{} = state, events) do
     {last, _event, _arrived} = List.last(events)
     queue = Enum.reduce(events, state.events, &:queue.in/2)
-    settle(%{state | events: queue, last_event: last})
+    match_events(%{state | events: queue, last_event: last})
   end
 
   @doc "Adds the times of messages that have arrived at the end, in order."
   @spec add_times(t(), [Situ.Time.t(), ...]) :: result()
   def add_times(%__MODULE__{} = state, times) do
     queue = Enum.reduce(times, state.times, &:queue.in/2)
-    settle(%{state | times: queue, reached: List.last(times)})
+    match_events(%{state | times: queue, reached: List.last(times)})
   end
 
   @doc "Fails the events that arrived until clock time `until` and have had no result."
@@ -68,26 +68,26 @@ defmodule Situ.GenStage.Acknowledgements do
   @spec count_events(t()) :: non_neg_integer()
   def count_events(%__MODULE__{events: events}), do: :queue.len(events)
 
-  defp settle(state), do: settle(state, [], [])
+  defp match_events(state), do: match_events(state, [], [])
 
-  defp settle(%{events: events, times: times} = state, good, bad) do
+  defp match_events(%{events: events, times: times} = state, good, bad) do
     case {:queue.peek(events), :queue.peek(times)} do
       {{:value, {time, event, _}}, {:value, time}} ->
         state = %{state | events: :queue.drop(events), times: :queue.drop(times)}
-        settle(state, [event | good], bad)
+        match_events(state, [event | good], bad)
 
       {{:value, {at, _, _}}, {:value, time}} when time < at ->
-        settle(%{state | times: :queue.drop(times)}, good, bad)
+        match_events(%{state | times: :queue.drop(times)}, good, bad)
 
       {{:value, {at, event, _}}, _later} when state.reached != nil and state.reached >= at ->
         state = %{state | events: :queue.drop(events)}
 
         if state.missing == :failed,
-          do: settle(state, good, [event | bad]),
-          else: settle(state, [event | good], bad)
+          do: match_events(state, good, [event | bad]),
+          else: match_events(state, [event | good], bad)
 
       {:empty, {:value, time}} when state.last_event != nil and time <= state.last_event ->
-        settle(%{state | times: :queue.drop(times)}, good, bad)
+        match_events(%{state | times: :queue.drop(times)}, good, bad)
 
       _nothing_more ->
         {Enum.reverse(good), Enum.reverse(bad), state}

@@ -28,12 +28,12 @@ defmodule Situ.GenStage.Acknowledger do
   @impl true
   def handle_messages(:events, messages, context, state) do
     events = for m <- messages, do: {m.originating_time, m.data, context.now}
-    state |> update(&Acknowledgements.add_events(&1, events)) |> start_timer()
+    state |> apply_matches(&Acknowledgements.add_events(&1, events)) |> start_timer()
   end
 
   def handle_messages(:done, messages, _context, state) do
     times = for m <- messages, do: m.originating_time
-    {[], update(state, &Acknowledgements.add_times(&1, times))}
+    {[], apply_matches(state, &Acknowledgements.add_times(&1, times))}
   end
 
   @impl true
@@ -41,7 +41,7 @@ defmodule Situ.GenStage.Acknowledger do
     until = context.now - state.opts[:fail_after]
 
     %{state | timer?: false}
-    |> update(&Acknowledgements.fail_events(&1, until))
+    |> apply_matches(&Acknowledgements.fail_events(&1, until))
     |> start_timer()
   end
 
@@ -60,20 +60,20 @@ defmodule Situ.GenStage.Acknowledger do
 
   defp start_timer(state), do: {[], state}
 
-  defp update(state, fun) do
+  defp apply_matches(state, fun) do
     {successful, failed, matches} = fun.(state.matches)
-    if successful != [] or failed != [], do: acknowledge(state.opts[:with], successful, failed)
+    if successful != [] or failed != [], do: report_results(state.opts[:with], successful, failed)
     %{state | matches: matches}
   end
 
-  defp acknowledge(nil, successful, failed), do: call_acknowledgers(successful, failed)
-  defp acknowledge(fun, successful, failed), do: fun.(successful, failed)
+  defp report_results(nil, successful, failed), do: call_acknowledgers(successful, failed)
+  defp report_results(fun, successful, failed), do: fun.(successful, failed)
 
   # As Broadway does: one call for each acknowledger and reference, with the events in their order.
   defp call_acknowledgers(successful, failed) do
     failed = Enum.map(failed, &put_failed/1)
-    good = Enum.group_by(successful, &acknowledger/1)
-    bad = Enum.group_by(failed, &acknowledger/1)
+    good = Enum.group_by(successful, &fetch_acknowledger!/1)
+    bad = Enum.group_by(failed, &fetch_acknowledger!/1)
 
     for {module, ref} = key <- Enum.uniq(Map.keys(good) ++ Map.keys(bad)),
         do: module.ack(ref, Map.get(good, key, []), Map.get(bad, key, []))
@@ -82,9 +82,10 @@ defmodule Situ.GenStage.Acknowledger do
   defp put_failed(%{status: _} = event), do: %{event | status: {:failed, "no result"}}
   defp put_failed(event), do: event
 
-  defp acknowledger(%{acknowledger: {module, ref, _data}}) when is_atom(module), do: {module, ref}
+  defp fetch_acknowledger!(%{acknowledger: {module, ref, _data}}) when is_atom(module),
+    do: {module, ref}
 
-  defp acknowledger(event) do
+  defp fetch_acknowledger!(event) do
     raise Error.new(
             :no_acknowledger,
             "cannot acknowledge #{inspect(event, limit: 8, printable_limit: 80)}",

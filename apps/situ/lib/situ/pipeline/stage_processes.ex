@@ -74,12 +74,14 @@ defmodule Situ.Pipeline.StageProcesses do
 
   @doc "Removes a stage from its process, which may continue with other stages."
   @spec remove_stage(State.t(), pos_integer()) :: State.t()
-  def remove_stage(state, id) do
-    pid = state.stages[id].pid
-
-    case Map.get(state.pids, pid, []) -- [id] do
-      [] -> %{state | pids: Map.delete(state.pids, pid)}
-      ids -> %{state | pids: Map.put(state.pids, pid, ids)}
+  def remove_stage(%{pids: pids} = state, id) do
+    with %{^id => %{pid: pid}} <- state.stages, %{^pid => ids} <- pids do
+      case List.delete(ids, id) do
+        [] -> %{state | pids: Map.delete(pids, pid)}
+        ids -> %{state | pids: %{pids | pid => ids}}
+      end
+    else
+      _dropped_or_ended -> state
     end
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
-  # Spawns, wires and measures the processes of a pipeline. Carries out the decisions of the life cycle.
+  # Wires and measures the stages of a pipeline (StageProcesses spawns them). Carries out decisions of the life cycle.
   alias Situ.{Clock, Lifecycle, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
@@ -250,10 +250,10 @@ defmodule Situ.Pipeline.Stages do
   @spec send_request(State.t(), pos_integer(), term()) :: State.t()
   def send_request(state, id, request) do
     case state.stages do
-      %{^id => %{pid: nil}} -> state
+      %{^id => %{pid: nil}} -> :ok
       %{^id => %{shared?: true, pid: pid}} -> send(pid, {:situ, {:to, id, request}})
       %{^id => %{pid: pid}} -> send(pid, {:situ, request})
-      _has_been_dropped -> state
+      _has_been_dropped -> :ok
     end
 
     state
@@ -262,12 +262,9 @@ defmodule Situ.Pipeline.Stages do
   @doc "Deletes everything that belongs to a stage that the life cycle has dropped."
   @spec drop_stage(State.t(), pos_integer()) :: State.t()
   def drop_stage(state, id) do
-    state =
-      if is_map_key(state.stages, id), do: StageProcesses.remove_stage(state, id), else: state
-
-    stages = Map.delete(state.stages, id)
+    state = StageProcesses.remove_stage(state, id)
     tags = for {tag, link} <- state.wires.links, link.to == id or link.from == id, do: tag
-    Enum.reduce(tags, %{state | stages: stages}, &drop_link(&2, &1))
+    Enum.reduce(tags, %{state | stages: Map.delete(state.stages, id)}, &drop_link(&2, &1))
   end
 
   @doc "Deletes everything that belongs to a connection that the life cycle has dropped."

@@ -3,6 +3,7 @@ defmodule Situ.Stage.Departure do
   # The part of a shared process in the move of a stage to its own process (see Relocation).
   alias Situ.Stage.{Load, Relocation, SharedProcess, State, Step}
 
+  # Time slices that did not finish until the load is checked.
   @check_every 8
 
   @doc """

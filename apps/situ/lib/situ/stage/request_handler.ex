@@ -140,7 +140,7 @@ defmodule Situ.Stage.RequestHandler do
   # Subscribers outside the pipeline still receive their remaining messages at their own pace.
   def handle_request(:quit, %{steps: steps} = state) do
     state = state |> release_withheld() |> close_outputs(elem(steps, 0).source.final || 0)
-    stop_if_drained(%{state | quitting: true})
+    stop_if_over(%{state | quitting: true})
   end
 
   # The pipeline has failed elsewhere.
@@ -196,7 +196,7 @@ defmodule Situ.Stage.RequestHandler do
     do:
       {:noreply, state |> State.map_steps(&ErrorPolicy.fail_step(&1, error)) |> Loop.run_slice()}
 
-  def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_drained()
+  def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_over()
 
   # A stream that was cut off for the neighbour, at the closing time, has no subscriber any more.
   def handle_request({:peer, tag, pid, closing}, state) do
@@ -327,10 +327,8 @@ defmodule Situ.Stage.RequestHandler do
     end)
   end
 
-  defp stop_if_drained(%{quitting: true} = state),
-    do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})
-
-  defp stop_if_drained(state), do: {:noreply, state}
+  defp stop_if_over(state),
+    do: if(State.over?(state), do: {:stop, :normal, state}, else: {:noreply, state})
 
   defp apply_actions(state, []), do: state
 

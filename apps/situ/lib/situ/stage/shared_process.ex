@@ -33,8 +33,8 @@ defmodule Situ.Stage.SharedProcess do
   process; `relays` the addresses that their messages need.
 
   `ready` and `sources` hold the stages to run, newest first: sources run when nothing else has anything to do, so that
-  messages do not pile up. `waiting` holds messages that were taken from the local queue but not
-  handled when the last time slice ended, and `saturated` counts the time slices in a row after which there were some.
+  messages do not pile up. `waiting` holds messages that were taken from the local queue but not handled when the last
+  time slice ended, and `saturated` counts the time slices in a row after which there were some.
   """
   @type t :: %__MODULE__{
           members: %{pos_integer() => State.t()},
@@ -297,7 +297,7 @@ defmodule Situ.Stage.SharedProcess do
 
   defp put_result(process, id, state) do
     cond do
-      state.quitting and State.drained?(state) -> remove_member(process, id, state)
+      State.over?(state) -> remove_member(process, id, state)
       Load.blocking?(state) -> Departure.begin(process, id, state)
       true -> put_member(process, id, state)
     end
@@ -338,7 +338,7 @@ defmodule Situ.Stage.SharedProcess do
     Runtime.send_after({:situ, {:to, id, {:thaw, ref}}}, Pause.longest_ms(), :background)
     # A time slice only sends pending messages while another one is due.
     process = put_member(process, id, %{state | scheduled: true})
-    %{process | paused: Map.put(process.paused, id, {ref, state.scheduled, [], []})}
+    put_pause(process, id, {ref, state.scheduled, [], []})
   end
 
   defp handle_message({:situ, :relocate}, id, state, process),
@@ -376,21 +376,17 @@ defmodule Situ.Stage.SharedProcess do
     {state, more} = RequestHandler.change(request, state)
     process = put_member(process, id, state)
 
-    {[],
-     update_pause(process, id, fn {ref, due?, kept, actions} ->
-       {ref, due?, kept, actions ++ more}
-     end)}
+    {ref, scheduled?, kept, actions} = Map.fetch!(process.paused, id)
+    {[], put_pause(process, id, {ref, scheduled?, kept, actions ++ more})}
   end
 
   defp handle_paused(message, id, _state, process) do
-    {[],
-     update_pause(process, id, fn {ref, due?, kept, actions} ->
-       {ref, due?, [message | kept], actions}
-     end)}
+    {ref, scheduled?, kept, actions} = Map.fetch!(process.paused, id)
+    {[], put_pause(process, id, {ref, scheduled?, [message | kept], actions})}
   end
 
-  defp update_pause(%{paused: paused} = process, id, fun),
-    do: %{process | paused: Map.update!(paused, id, fun)}
+  defp put_pause(%{paused: paused} = process, id, pause),
+    do: %{process | paused: Map.put(paused, id, pause)}
 
   defp put_member(%{members: members} = process, id, state),
     do: %{process | members: %{members | id => state}}

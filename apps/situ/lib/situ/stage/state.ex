@@ -162,6 +162,10 @@ defmodule Situ.Stage.State do
   def drained?(%__MODULE__{} = state),
     do: Enum.all?(list_steps(state), &Outputs.drained?(&1.outputs))
 
+  @doc "Returns whether a stage that is to end has nothing left to send."
+  @spec over?(t()) :: boolean()
+  def over?(%__MODULE__{quitting: quitting?} = state), do: quitting? and drained?(state)
+
   @doc "Returns the last step, whose outputs others can subscribe to."
   @spec last_step(t()) :: {non_neg_integer(), Step.t()}
   def last_step(%__MODULE__{steps: steps}) do

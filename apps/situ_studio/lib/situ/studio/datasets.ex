@@ -13,15 +13,13 @@ defmodule Situ.Studio.Datasets do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
 
     with {:ok, dataset} <- Dataset.load(file, autosave: true),
-         {:ok, server} <- start_server(studio, name, dataset),
-         # The file may have changed since a process that already runs read it.
-         {:ok, _} <- reload_dataset(server, file) do
+         {:ok, server} <- start_server(studio, name, dataset, file) do
       :ok = Server.subscribe(server)
       {:ok, server}
     end
   end
 
-  defp start_server(studio, name, dataset) do
+  defp start_server(studio, name, dataset, file) do
     child = %{
       id: Server,
       start: {Server, :start_link, [[dataset: dataset, name: name]]},
@@ -29,9 +27,15 @@ defmodule Situ.Studio.Datasets do
     }
 
     case DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), child) do
-      {:ok, pid} -> {:ok, pid}
-      {:error, {:already_started, pid}} -> {:ok, pid}
-      {:error, reason} -> {:error, Error.new(:not_opened, "no dataset: #{inspect(reason)}")}
+      {:ok, pid} ->
+        {:ok, pid}
+
+      # The file may have changed since the process read it.
+      {:error, {:already_started, pid}} ->
+        with {:ok, _} <- reload_dataset(pid, file), do: {:ok, pid}
+
+      {:error, reason} ->
+        {:error, Error.new(:not_opened, "no dataset: #{inspect(reason)}")}
     end
   end
 

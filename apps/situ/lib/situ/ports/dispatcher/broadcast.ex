@@ -5,6 +5,7 @@ defmodule Situ.Ports.Dispatcher.Broadcast do
   @behaviour Situ.Ports.Dispatcher
 
   alias Situ.Error
+  alias Situ.Ports.Dispatcher.SharedQueue
 
   defstruct consumers: [], waiting: [], count: 0
 
@@ -34,18 +35,10 @@ defmodule Situ.Ports.Dispatcher.Broadcast do
   end
 
   @impl true
-  def cancel(%{consumers: consumers} = state, key),
-    do: %{state | consumers: List.keydelete(consumers, key, 0)}
-
-  @impl true
   def add_demand(%{consumers: consumers} = state, key, n) do
     {^key, demand, selector} = List.keyfind(consumers, key, 0)
     %{state | consumers: List.keyreplace(consumers, key, 0, {key, demand + n, selector})}
   end
-
-  @impl true
-  def push(%{waiting: waiting, count: count} = state, messages),
-    do: {[], %{state | waiting: waiting ++ messages, count: count + length(messages)}}
 
   # With selectors, the consumers have demand left after the first round.
   @impl true
@@ -57,9 +50,8 @@ defmodule Situ.Ports.Dispatcher.Broadcast do
         {Enum.reverse(parts), [], state}
 
       n ->
-        {messages, waiting} = Enum.split(state.waiting, n)
-        results = Enum.map(state.consumers, &select(&1, messages))
-        state = %{state | waiting: waiting, count: count - n}
+        {messages, state} = SharedQueue.split(state, n)
+        results = Enum.map(state.consumers, &select_messages(&1, messages))
         finish_round(state, results, parts)
     end
   end
@@ -75,10 +67,10 @@ defmodule Situ.Ports.Dispatcher.Broadcast do
     end
   end
 
-  defp select({key, demand, nil}, messages),
+  defp select_messages({key, demand, nil}, messages),
     do: {{key, messages}, {key, demand - length(messages), nil}, nil}
 
-  defp select({key, demand, selector} = consumer, messages) do
+  defp select_messages({key, demand, selector} = consumer, messages) do
     selected = Enum.filter(messages, selector)
     {{key, selected}, {key, demand - length(selected), selector}, nil}
   rescue
@@ -96,11 +88,13 @@ defmodule Situ.Ports.Dispatcher.Broadcast do
   def available_room(state), do: least_demand(state) - state.count
 
   @impl true
-  def waiting_count(%{count: count}), do: count
+  defdelegate cancel(state, key), to: SharedQueue
   @impl true
-  def waiting_count(%{count: count}, _key), do: count
-
+  defdelegate push(state, messages), to: SharedQueue
   @impl true
-  def drop_unclaimed(%{consumers: []} = state), do: %{state | waiting: [], count: 0}
-  def drop_unclaimed(state), do: state
+  defdelegate waiting_count(state), to: SharedQueue
+  @impl true
+  defdelegate waiting_count(state, key), to: SharedQueue
+  @impl true
+  defdelegate drop_unclaimed(state), to: SharedQueue
 end

@@ -3,6 +3,7 @@ defmodule Situ.Ports.Dispatcher.Demand do
   # Sends every message to one consumer: the consumer with the largest demand, and among equals the one that has waited
   # longest.
   @behaviour Situ.Ports.Dispatcher
+  alias Situ.Ports.Dispatcher.SharedQueue
 
   # `consumers` is sorted by demand.
   defstruct consumers: [], waiting: [], count: 0
@@ -15,23 +16,15 @@ defmodule Situ.Ports.Dispatcher.Demand do
     do: {:ok, %{state | consumers: consumers ++ [{key, 0}]}}
 
   @impl true
-  def cancel(%{consumers: consumers} = state, key),
-    do: %{state | consumers: List.keydelete(consumers, key, 0)}
-
-  @impl true
   def add_demand(%{consumers: consumers} = state, key, n) do
     {{^key, demand}, others} = List.keytake(consumers, key, 0)
-    %{state | consumers: insert(others, key, demand + n)}
+    %{state | consumers: insert_consumer(others, key, demand + n)}
   end
 
-  defp insert([{_, most} = first | rest], key, demand) when demand <= most,
-    do: [first | insert(rest, key, demand)]
+  defp insert_consumer([{_, most} = first | rest], key, demand) when demand <= most,
+    do: [first | insert_consumer(rest, key, demand)]
 
-  defp insert(rest, key, demand), do: [{key, demand} | rest]
-
-  @impl true
-  def push(%{waiting: waiting, count: count} = state, messages),
-    do: {[], %{state | waiting: waiting ++ messages, count: count + length(messages)}}
+  defp insert_consumer(rest, key, demand), do: [{key, demand} | rest]
 
   @impl true
   def take(state), do: take(state, [])
@@ -39,9 +32,8 @@ defmodule Situ.Ports.Dispatcher.Demand do
   defp take(%{count: count, consumers: [{key, demand} | rest]} = state, parts)
        when count > 0 and demand > 0 do
     n = min(count, demand)
-    {messages, waiting} = Enum.split(state.waiting, n)
-    consumers = insert(rest, key, demand - n)
-    state = %{state | consumers: consumers, waiting: waiting, count: count - n}
+    {messages, state} = SharedQueue.split(state, n)
+    state = %{state | consumers: insert_consumer(rest, key, demand - n)}
     take(state, [{key, messages} | parts])
   end
 
@@ -52,11 +44,13 @@ defmodule Situ.Ports.Dispatcher.Demand do
     do: Enum.reduce(consumers, -count, fn {_key, demand}, room -> room + demand end)
 
   @impl true
-  def waiting_count(%{count: count}), do: count
+  defdelegate cancel(state, key), to: SharedQueue
   @impl true
-  def waiting_count(%{count: count}, _key), do: count
-
+  defdelegate push(state, messages), to: SharedQueue
   @impl true
-  def drop_unclaimed(%{consumers: []} = state), do: %{state | waiting: [], count: 0}
-  def drop_unclaimed(state), do: state
+  defdelegate waiting_count(state), to: SharedQueue
+  @impl true
+  defdelegate waiting_count(state, key), to: SharedQueue
+  @impl true
+  defdelegate drop_unclaimed(state), to: SharedQueue
 end

@@ -11,7 +11,6 @@ defmodule Situ.Link.Server.RecordingReader do
   alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
 
   @batch 512
-  # This time is earlier than any other, but far from the limits of 64-bit integers.
   @before_all Batch.before_all()
 
   defstruct [:series, :store, live?: false, version: 0, count: 0, notice: :no, catalog: -1]

@@ -23,7 +23,7 @@ defmodule Situ.Link.Wire.Batch do
   @typedoc "First and last originating time, count and payload: the fields of a `batch` frame after its channel."
   @type part :: {Situ.Time.t(), Situ.Time.t(), pos_integer(), iodata()}
 
-  @doc "Returns an originating time that is earlier than the times of all messages."
+  @doc "Returns a time that is earlier than those of all messages, but far from the limits of 64-bit integers."
   @spec before_all() :: Situ.Time.t()
   def before_all, do: -0x4000000000000000
 
