@@ -18,16 +18,15 @@ defmodule Situ.Stage.SharedProcessTest do
         do: {pid, process}
   end
 
-  # Starts a pipeline whose source waits until the test lets it go on.
+  # Starts a pipeline whose source waits at its item 20 until `resume/1`.
   defp start_waiting(build) do
-    gate = :atomics.new(1, [])
+    test = self()
 
     {:ok, p} =
       Pipeline.start(
         fn p ->
           p
-          |> Situ.from_enumerable(
-            Stream.map(0..499, fn i -> if(i == 20, do: wait_for(gate), else: i) && i end),
+          |> Situ.from_enumerable(Stream.map(0..499, &wait_at(&1, 20, test)),
             every: Time.ms(1),
             name: "Source"
           )
@@ -36,21 +35,24 @@ defmodule Situ.Stage.SharedProcessTest do
         pipeline: @settings
       )
 
-    {p, gate}
+    p
   end
 
-  defp wait_for(gate) do
-    if :atomics.get(gate, 1) == 0 do
-      Process.sleep(1)
-      wait_for(gate)
-    else
-      true
-    end
+  defp wait_at(i, i, test) do
+    send(test, {:waiting, self()})
+    receive do: (:resume -> i)
+  end
+
+  defp wait_at(i, _other, _test), do: i
+
+  defp resume do
+    assert_receive {:waiting, source}, 10_000
+    send(source, :resume)
   end
 
   describe "light stages" do
     test "share a process with their neighbors" do
-      {p, gate} =
+      p =
         start_waiting(fn source ->
           left = Situ.map(source, &(&1 + 1), name: "Left")
           right = Situ.map(source, &(&1 * 2), name: "Right")
@@ -60,12 +62,12 @@ defmodule Situ.Stage.SharedProcessTest do
       pids = processes(p)
       assert map_size(pids) == 5
       assert [_pid] = pids |> Map.values() |> Enum.uniq()
-      :atomics.put(gate, 1, 1)
+      resume()
       assert {:ok, _} = Pipeline.await(p)
     end
 
     test "keep separate processes where a policy drops messages, or with async: true" do
-      {p, gate} =
+      p =
         start_waiting(fn source ->
           Situ.map(source, & &1, name: "Newest", policy: Delivery.latest())
           Situ.map(source, & &1, name: "Alone", async: true)
@@ -78,25 +80,29 @@ defmodule Situ.Stage.SharedProcessTest do
       assert pids["Throttled"] == pids["Source"]
       assert pids["Newest"] not in [pids["Source"], pids["Alone"]]
       assert pids["Alone"] != pids["Source"]
-      :atomics.put(gate, 1, 1)
+      resume()
       assert {:ok, _} = Pipeline.await(p)
     end
 
     test "end one by one when their part is stopped" do
-      {p, gate} =
+      test = self()
+
+      p =
         start_waiting(fn source ->
-          Situ.each(source, fn _ -> :ok end, name: "First")
-          Situ.each(source, fn _ -> :ok end, name: "Second")
+          Situ.each(source, &send(test, {:first, &1}), name: "First")
+          Situ.each(source, &send(test, {:second, &1}), name: "Second")
         end)
 
-      :atomics.put(gate, 1, 1)
+      resume()
       Pipeline.stop_part(p, "First")
-      assert {:ok, report} = Pipeline.await(p)
-      assert report.name
+      assert {:ok, _report} = Pipeline.await(p)
+      first = received(:first)
+      assert first == Enum.take(0..499, length(first))
+      assert received(:second) == Enum.to_list(0..499)
     end
 
     test "fail the pipeline together when their process is killed" do
-      {p, gate} =
+      p =
         start_waiting(fn source ->
           Situ.each(source, fn _ -> :ok end, name: "Sink", policy: Delivery.throttle(1))
           |> Situ.zip(source)
@@ -104,7 +110,6 @@ defmodule Situ.Stage.SharedProcessTest do
 
       Process.exit(processes(p)["Sink"], :kill)
       assert {:error, %{code: :component_killed}} = Pipeline.await(p)
-      :atomics.put(gate, 1, 1)
     end
   end
 
@@ -112,7 +117,7 @@ defmodule Situ.Stage.SharedProcessTest do
     test "does so when it keeps others waiting, and loses nothing" do
       test = self()
 
-      {p, gate} =
+      p =
         start_waiting(fn source ->
           Situ.each(source, &send(test, {:quick, &1}), name: "Quick")
 
@@ -128,11 +133,11 @@ defmodule Situ.Stage.SharedProcessTest do
         end)
 
       assert processes(p)["Heavy"] == processes(p)["Quick"]
-      monitor = Process.monitor(p)
-      :atomics.put(gate, 1, 1)
-      assert left_process?(p, "Heavy", "Quick")
-      assert {:ok, _} = Pipeline.await(p)
-      assert_receive {:DOWN, ^monitor, :process, _, _}
+      resume()
+      assert {:ok, report} = Pipeline.await(p)
+      process = Map.new(report.snapshot.nodes, &{&1.path, &1.process})
+      assert process["Heavy"] != process["Quick"]
+      assert process["Source"] == process["Quick"]
       assert received(:quick) == Enum.to_list(0..499)
       assert received(:heavy) == Enum.to_list(0..499)
     end
@@ -141,7 +146,7 @@ defmodule Situ.Stage.SharedProcessTest do
       for order <- [[1, 2, 3], [3, 2, 1], [2, 1, 3], [2, 3, 1]] do
         test = self()
 
-        {p, gate} =
+        p =
           start_waiting(fn source ->
             left = Situ.map(source, &(&1 + 1), name: "Left")
             [left, source] |> Situ.zip(name: "Zip") |> Situ.each(&send(test, {:zipped, &1}))
@@ -149,7 +154,7 @@ defmodule Situ.Stage.SharedProcessTest do
 
         assert [pid] = p |> processes() |> Map.values() |> Enum.uniq()
         for id <- order, do: send(pid, {:situ, {:to, id, :relocate}})
-        :atomics.put(gate, 1, 1)
+        resume()
         assert {:ok, _} = Pipeline.await(p)
         assert received(:zipped) == for(i <- 0..499, do: [i + 1, i])
       end
@@ -197,14 +202,6 @@ defmodule Situ.Stage.SharedProcessTest do
     catch
       :exit, _the_pipeline_has_ended -> :ok
     end
-  end
-
-  # Waits until a component has another process than the other one.
-  defp left_process?(p, path, other) do
-    pids = processes(p)
-    pids[path] != pids[other] or left_process?(p, path, other)
-  catch
-    :exit, _ -> false
   end
 
   defp received(kind, values \\ []) do
