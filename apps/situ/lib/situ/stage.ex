@@ -87,14 +87,14 @@ defmodule Situ.Stage do
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> handle_foreign_message(message, state)
       found -> state |> Loop.handle_closing(found, closing_time(reason, state)) |> unless_over()
     end
   end
 
   def handle_info({:"$gen_consumer", {_, tag}, batches} = message, state) do
     case State.find_input(state, tag) do
-      nil -> {:noreply, Loop.handle_plain_message(state, message)}
+      nil -> handle_foreign_message(message, state)
       found -> {:noreply, Loop.handle_batches(state, found, batches)}
     end
   end
@@ -158,6 +158,13 @@ defmodule Situ.Stage do
     for %{worker: %Callback{} = worker} <- State.list_steps(state),
         do: Callback.stop_component(worker, reason)
   end
+
+  # A restarted neighbour repeats the closing mark of an input that has closed (tags of the pipeline are numbers).
+  defp handle_foreign_message({_protocol, {_pid, tag}, _request}, state) when is_integer(tag),
+    do: {:noreply, state}
+
+  defp handle_foreign_message(message, state),
+    do: {:noreply, Loop.handle_plain_message(state, message)}
 
   defp unless_over(%{quitting: true} = state),
     do: if(State.drained?(state), do: {:stop, :normal, state}, else: {:noreply, state})

@@ -56,9 +56,12 @@ defmodule Situ.Lifecycle.Startup do
   def mark_started(state, id) do
     state = state |> introduce_to_neighbours(id) |> add_action({:run, [id]})
 
-    if state.ending.final != nil and state.phase == :stopping,
-      do: send_to_stages(state, [id], {:stop, state.ending.final}),
-      else: state
+    # The request to the previous process was lost with it.
+    case state do
+      %{step: :settle} -> send_to_stages(state, [id], :settle)
+      %{phase: :stopping, ending: %{final: time}} -> send_to_stages(state, [id], {:stop, time})
+      _ -> state
+    end
   end
 
   defp introduce_to_neighbours(state, id) do
@@ -70,10 +73,13 @@ defmodule Situ.Lifecycle.Startup do
     update_member(state, id, &%{&1 | again?: false})
   end
 
-  # If the previous process received the closing mark, the new one needs it again.
-  defp replay_closing_mark({tag, _link}, state, id) do
+  # If the previous process received the closing mark, the new one needs it again. A producer that is running sends it
+  # after the messages that the previous process had not acknowledged.
+  defp replay_closing_mark({tag, %{from: from}}, state, id) do
+    gone? = not state.stages[from].alive? or state.stages[from].status in [:dead, :ended]
+
     case state.links.closing do
-      %{^tag => time} -> send_to_stages(state, [id], {:peer_gone, tag, time})
+      %{^tag => time} when gone? -> send_to_stages(state, [id], {:peer_gone, tag, time})
       _ -> state
     end
   end

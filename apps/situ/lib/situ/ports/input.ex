@@ -26,6 +26,7 @@ defmodule Situ.Ports.Input do
     :counters,
     :lossy,
     :held,
+    :resume,
     check: :off,
     sizes: false,
     front: [],
@@ -37,7 +38,8 @@ defmodule Situ.Ports.Input do
   @typedoc """
   `front` and `rear` (reversed) hold what waits under a lossless policy; `lossy` holds the queue of a lossy policy with
   the time at which its messages were known to be the newest, or `:asked`, or `:sure` for the next take. `held` is a
-  timer and token while the component pauses the input. `handled` holds the number of messages handled since the last
+  timer and token while the component pauses the input. After a restart of the producer, messages up to `resume` have
+  arrived before. `handled` holds the number of messages handled since the last
   publication, and the latency and originating time of the last one.
   """
   @type t :: %__MODULE__{
@@ -48,6 +50,7 @@ defmodule Situ.Ports.Input do
           counters: Counters.t(),
           lossy: {Queue.t(), integer() | :asked | :sure} | nil,
           held: {reference(), reference()} | nil,
+          resume: Situ.Time.t() | nil,
           check: :off | {:first | :all, Type.t()},
           sizes: boolean(),
           front: [entry()],
@@ -82,8 +85,24 @@ defmodule Situ.Ports.Input do
   @spec replace_producer(t(), pid()) :: t()
   def replace_producer(%__MODULE__{lossy: lossy} = input, pid) do
     lossy = with {queue, _fresh} <- lossy, do: {queue, 0}
-    %{input | producer: pid, window: DemandWindow.reset_owed(input.window), lossy: lossy}
+    resume = if lossy == nil, do: last_time(input)
+    window = DemandWindow.reset_owed(input.window)
+    %{input | producer: pid, window: window, lossy: lossy, resume: resume}
   end
+
+  # A producer may be killed after it has sent messages, and before it has counted them.
+  defp last_time(%{front: front, rear: rear, handled: {n, _latency, time}} = input) do
+    waiting = Enum.find(rear, &batch?/1) || List.last(Enum.filter(front, &batch?/1))
+
+    cond do
+      waiting != nil -> Batch.last_time(waiting)
+      n > 0 -> time
+      taken_count(input) > 0 -> Counters.last_time(input.counters)
+      true -> nil
+    end
+  end
+
+  defp batch?(entry), do: not match?({:closed, _time}, entry)
 
   @doc "Adds batches that arrived, and the closing mark of a producer in the same process."
   @spec push(t(), [entry()]) :: t()
@@ -91,6 +110,13 @@ defmodule Situ.Ports.Input do
 
   def push(%__MODULE__{} = input, [{:closed, time} | rest]),
     do: input |> push_closed(time) |> push(rest)
+
+  def push(%__MODULE__{resume: until} = input, [batch | rest]) when until != nil do
+    case Batch.split_after(batch, until) do
+      {_arrived, nil} -> push(input, rest)
+      {_arrived, batch} -> push(%{input | resume: nil}, [batch | rest])
+    end
+  end
 
   def push(%__MODULE__{} = input, [batch | rest]) do
     if input.sizes, do: Counters.count_sizes(input.counters, Batch.data(batch))
@@ -255,6 +281,13 @@ defmodule Situ.Ports.Input do
     {asked, window} = DemandWindow.take_owed(window)
     if asked > 0, do: ask(input, asked)
     %{input | handled: @nothing, window: window}
+  end
+
+  @doc "Publishes the last counts of an input that has closed, and acknowledges its end to the producer."
+  @spec acknowledge_end(t(), integer()) :: term()
+  def acknowledge_end(%__MODULE__{producer: producer, tag: tag} = input, each) do
+    publish_counts(input, each)
+    if producer, do: send(producer, {:situ, {:untap, tag}})
   end
 
   @doc "Returns how many messages were taken according to the counters."

@@ -91,6 +91,8 @@ defmodule Situ.Ports.Output do
 
   def attach_marks(%__MODULE__{port: port} = output, marks, index) do
     output = %{output | port: %{port | mark: {marks, index * 6}}}
+    # The previous process may have posted more than it had sent.
+    for i <- 1..3, do: :atomics.put(marks, index * 6 + i + 3, :atomics.get(marks, index * 6 + i))
 
     case :atomics.get(marks, index * 6 + 3) do
       0 ->
@@ -115,12 +117,23 @@ defmodule Situ.Ports.Output do
 
   defp record_sent(%{port: %{mark: nil}} = output), do: output
 
-  defp record_sent(%{port: %{mark: {marks, base}}} = output) do
-    if all_sent?(output),
-      do: for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3)))
+  defp record_sent(output) do
+    if all_sent?(output) and not Enum.any?(output.subs, &(&1.demand == :local)),
+      do: record_progress(output)
 
     output
   end
+
+  @doc """
+  Records that a process that replaces this one continues after the last posted message. Messages for another step of the
+  stage must be recorded only after everything made of them has been sent.
+  """
+  @spec record_progress(t()) :: :ok
+  def record_progress(%__MODULE__{port: %{mark: nil}}), do: :ok
+
+  def record_progress(%__MODULE__{port: %{mark: {marks, base}}}),
+    do:
+      for(i <- 1..3, do: :atomics.put(marks, base + i, :atomics.get(marks, base + i + 3))) && :ok
 
   @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
   @spec all_sent?(t()) :: boolean()
@@ -364,6 +377,24 @@ defmodule Situ.Ports.Output do
   def cancel_subscribers(%__MODULE__{} = output, which?),
     do: finish(%{output | subs: Enum.reject(output.subs, which?)})
 
+  @doc "Sends the subscriber with this tag all its waiting messages, regardless of demand, and the closing mark."
+  @spec cut_subscriber(t(), term(), Situ.Time.t()) :: t()
+  def cut_subscriber(%__MODULE__{subs: subs} = output, tag, time) do
+    cut = fn
+      %{tag: ^tag} = sub ->
+        sub |> Subscriber.add_demand(:infinity) |> Subscriber.close_drained(time)
+
+      sub ->
+        [sub]
+    end
+
+    finish(%{output | subs: Enum.flat_map(subs, cut)})
+  end
+
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{subs: subs}), do: Enum.all?(subs, &Subscriber.closed?/1)
+
   @doc "Returns how many messages wait for demand."
   @spec buffered_count(t()) :: non_neg_integer()
   def buffered_count(%__MODULE__{} = output),
@@ -373,10 +404,8 @@ defmodule Situ.Ports.Output do
 
   # Sends the closing mark to the subscribers that have received all their messages.
   defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
-    {done, waiting} = Enum.split_with(output.subs, &(&1.size == 0))
-    Enum.each(done, &Subscriber.send_close(&1, time))
-    ending = if waiting == [], do: {:closed, time}, else: output.ending
-    %{output | subs: waiting, ending: ending}
+    output = %{output | subs: Enum.flat_map(output.subs, &Subscriber.close_drained(&1, time))}
+    if drained?(output), do: %{output | ending: {:closed, time}}, else: output
   end
 
   defp send_closing(output), do: output

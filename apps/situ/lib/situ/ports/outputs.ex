@@ -148,7 +148,7 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &match?({_, %{subs: []}}, &1))
+  def drained?(%__MODULE__{own: own}), do: Enum.all?(own, &Output.drained?(elem(&1, 1)))
 
   @spec list_subscribers(t()) :: [Subscriber.t()]
   def list_subscribers(%__MODULE__{own: own}), do: for({_, %{subs: s}} <- own, sub <- s, do: sub)
@@ -181,12 +181,8 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Sends one subscriber all its waiting messages, regardless of demand, and the closing mark."
   @spec cut_subscriber(t(), term(), Situ.Time.t()) :: t()
-  def cut_subscriber(%__MODULE__{} = outputs, tag, time) do
-    for %{tag: ^tag} = sub <- list_subscribers(outputs),
-        do: sub |> Subscriber.add_demand(:infinity) |> Subscriber.send_close(time)
-
-    remove_subscribers(outputs, &(&1.tag == tag))
-  end
+  def cut_subscriber(%__MODULE__{} = outputs, tag, time),
+    do: map_outputs(outputs, &Output.cut_subscriber(&1, tag, time))
 
   @doc "Returns a value that changes when a message is emitted."
   @spec progress_mark(t()) :: term()

@@ -10,6 +10,9 @@ defmodule Situ.Ports.Subscriber do
   # If the policy redelivers, `unacked` holds the messages that were sent but not handled yet, according to the
   # consumer's counters. A process that replaces a dead consumer receives them again. Conversely, a process that
   # replaces a dead producer skips messages up to the last one that was sent (`resume`).
+  #
+  # After the closing mark, the subscriber of another stage remains until the consumer acknowledges the end of its input
+  # (`{:untap, tag}`), so that a process that replaces the consumer receives its messages and the mark again.
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}
@@ -45,7 +48,7 @@ defmodule Situ.Ports.Subscriber do
           queue: Queue.t() | nil,
           unacked: {non_neg_integer(), :queue.queue(Batch.t())} | nil,
           resume: Situ.Time.t() | nil,
-          demand: integer() | :infinity | :local,
+          demand: integer() | :infinity | :local | {:closed, Situ.Time.t()},
           buffer: [Batch.t()],
           rear: [Batch.t()],
           size: non_neg_integer(),
@@ -74,6 +77,12 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()
+  def replace_consumer(%__MODULE__{demand: {:closed, time}} = sub, pid) do
+    sub = replace_consumer(%{sub | demand: 0}, pid)
+    [sub] = sub |> add_demand(:infinity) |> close_drained(time)
+    sub
+  end
+
   def replace_consumer(%__MODULE__{unacked: nil} = sub, pid) do
     {emitted, processed, dropped} = Counters.flow_counts(sub.counters)
     count_dropped(sub, max(emitted - sub.size - processed - dropped, 0))
@@ -126,6 +135,25 @@ defmodule Situ.Ports.Subscriber do
     end
   end
 
+  @doc """
+  Sends the closing mark, unless messages wait for demand. Returns the subscriber if it remains: until its messages are
+  sent, or until another stage has acknowledged the mark.
+  """
+  @spec close_drained(t(), Situ.Time.t()) :: [t()]
+  def close_drained(%__MODULE__{size: size} = sub, _time) when size > 0, do: [sub]
+  def close_drained(%__MODULE__{demand: {:closed, _time}} = sub, _again), do: [sub]
+
+  def close_drained(%__MODULE__{} = sub, time) do
+    send_close(sub, time)
+
+    if sub.counters == nil or sub.demand == :local,
+      do: [],
+      else: [%{sub | demand: {:closed, time}}]
+  end
+
+  @spec closed?(t()) :: boolean()
+  def closed?(%__MODULE__{demand: demand}), do: is_tuple(demand)
+
   @doc "Sends the closing mark, after the last message."
   @spec send_close(t(), Situ.Time.t()) :: term()
   def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
@@ -147,6 +175,8 @@ defmodule Situ.Ports.Subscriber do
           Situ.Time.t()
         ) ::
           t()
+  def deliver_batches(%{demand: {:closed, _time}} = sub, _batches, _n, _latency, _now), do: sub
+
   def deliver_batches(%{resume: until} = sub, batches, _n, latency, now) when until != nil do
     case Enum.flat_map(batches, &batches_after(&1, until)) do
       [] ->
@@ -203,6 +233,8 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Adds demand."
   @spec add_demand(t(), pos_integer() | :infinity) :: t()
+  def add_demand(%__MODULE__{demand: {:closed, _time}} = sub, _n), do: forget_handled(sub)
+
   def add_demand(%__MODULE__{demand: demand} = sub, n) do
     demand = if :infinity in [demand, n], do: :infinity, else: demand + n
     send_waiting(forget_handled(%{sub | demand: demand}))
@@ -232,7 +264,7 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
   @spec free_capacity(t()) :: integer() | :infinity
-  def free_capacity(%{demand: demand}) when demand in [:infinity, :local], do: :infinity
+  def free_capacity(%{demand: demand}) when not is_integer(demand), do: :infinity
   def free_capacity(%{queue: %{policy: %{throttle: false}}}), do: :infinity
   def free_capacity(%{size: 0, demand: demand}), do: demand
   def free_capacity(%{size: size}), do: -size

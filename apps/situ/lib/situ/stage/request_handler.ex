@@ -202,8 +202,19 @@ defmodule Situ.Stage.RequestHandler do
 
   def handle_request(:clock, state), do: {:noreply, Loop.run_slice(state)}
 
-  def handle_request({:peer, tag, pid}, state),
-    do: {:noreply, State.replace_neighbour(state, tag, pid)}
+  # A neighbour was restarted, but the connection has ended here: a consumer needs only the closing mark, and a producer
+  # must not wait for demand.
+  def handle_request({:peer, tag, pid, closing}, state) do
+    known? = State.find_input(state, tag) || State.find_subscriber(state, tag)
+
+    cond do
+      known? || elem(state.steps, 0).phase == :starting -> :ok
+      closing -> Subscriber.send_close(Subscriber.new(tag, pid, nil), closing)
+      true -> send(pid, {:situ, {:untap, tag}})
+    end
+
+    {:noreply, State.replace_neighbour(state, tag, pid)}
+  end
 
   def handle_request({:peer_gone, tag, time}, state) do
     case State.find_input(state, tag) do

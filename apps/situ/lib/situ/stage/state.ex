@@ -4,7 +4,7 @@ defmodule Situ.Stage.State do
   # Messages between two steps go from the output of one to the input of the other without a queue between processes.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Vertex
-  alias Situ.Ports.{Input, Output, Outputs, Subscriber}
+  alias Situ.Ports.{Counters, Input, Output, Outputs, Subscriber}
   alias Situ.Stage.{ErrorPolicy, Step}
 
   @enforce_keys [:host, :steps]
@@ -62,6 +62,7 @@ defmodule Situ.Stage.State do
     policy = Delivery.unlimited(window: :infinity)
     opts = %{type: :any, check: :off, counters: args.tail_counters, sizes: args.sizes}
     tag = {:step, 1}
+    Counters.forget_unhandled(args.tail_counters)
     sub = Subscriber.new_local(tag, args.tail_counters)
     first = Step.map_outputs(first, &Output.subscribe(&1, sub))
     second = Step.put_input(second, Input.new(:in, tag, nil, policy, opts))
@@ -140,6 +141,9 @@ defmodule Situ.Stage.State do
   @spec list_subscribers(t()) :: [Subscriber.t()]
   def list_subscribers(%__MODULE__{} = state),
     do: for(step <- list_steps(state), sub <- Outputs.list_subscribers(step.outputs), do: sub)
+
+  @spec find_subscriber(t(), term()) :: Subscriber.t() | nil
+  def find_subscriber(state, tag), do: Enum.find(list_subscribers(state), &(&1.tag == tag))
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()

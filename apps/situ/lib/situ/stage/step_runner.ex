@@ -166,9 +166,10 @@ defmodule Situ.Stage.StepRunner do
   # The pipeline's server closes the outputs once all inputs of the stage have closed. A step that gets its messages
   # from this process closes its outputs with its input.
   defp close_input(step, %{name: name, tag: tag, producer: producer}, time) do
-    step = step |> send_pending(true) |> publish_counts()
+    %{work: work} = step = send_pending(step, false)
+    ended = [Map.fetch!(step.inputs.by_tag, tag) | work.ended]
     {known?, inputs} = Inputs.close_input(step.inputs, name, tag)
-    step = %{step | inputs: inputs}
+    step = %{step | inputs: inputs, work: %{work | ended: ended}}
 
     step =
       if not known? and step.phase != :failed and is_struct(step.worker, Callback),
@@ -203,9 +204,17 @@ defmodule Situ.Stage.StepRunner do
     outputs = Outputs.flush(step.outputs, step.context.now)
     step = %{step | outputs: outputs}
 
-    if restarts? and not (all_sent? and Outputs.all_sent?(outputs)),
-      do: step,
-      else: publish_counts(step)
+    if restarts? and not (all_sent? and Outputs.all_sent?(outputs)) do
+      step
+    else
+      if restarts?, do: Enum.each(Outputs.list_all(outputs), &Output.record_progress/1)
+      publish_counts(step)
+    end
+  end
+
+  defp publish_counts(%{work: %{ended: [_ | _] = ended, spent: {n, ns}} = work} = step) do
+    Enum.each(ended, &Input.acknowledge_end(&1, div(ns, max(n, 1))))
+    publish_counts(%{step | work: %{work | ended: []}})
   end
 
   defp publish_counts(%{work: %{spent: spent} = work} = step) do
