@@ -110,6 +110,9 @@ defmodule Situ.Pipeline.Server do
   defp handle_request(:clock, _from, state), do: {:reply, state.timing.clock, state}
 
   # Serves pipelines inside this pipeline's components.
+  defp handle_request(:timing, _from, %{timing: nil} = state),
+    do: {:reply, {:error, Errors.not_running()}, state}
+
   defp handle_request(:timing, _from, state),
     do: {:reply, Map.take(state.timing, [:clock, :enforce, :replay_end]), state}
 
