@@ -293,6 +293,40 @@ defmodule Situ.Pipeline do
   def info(p), do: Client.call!(p, :info)
 
   @doc """
+  Returns the changes to the running pipeline, the newest first: those that wait or are running, and the last hundred
+  that have ended.
+
+  Each change has an `id` that grows with the order of the requests, the kind of `change`, its `subject` (a path or the
+  name of a stream), the process that has requested it (`by`), its `state` (`:waiting`, `:running`, `:applied` or
+  `{:refused, error}`), and the times of the pipeline's clock at which it was `accepted` and `ended`.
+
+      iex> ticks = fn p -> Situ.timer(p, every: Situ.Time.ms(1), name: "Ticks") end
+      iex> {:ok, p} = Situ.Pipeline.start(ticks, pipeline: [replay: [interval: {0, :unbounded}]])
+      iex> {:error, _} = Situ.Pipeline.remove(p, "Tocks")
+      iex> :ok = Situ.Pipeline.pause(p)
+      iex> for change <- Situ.Pipeline.list_changes(p), do: {change.change, change.subject, change.by == self()}
+      [{:pause, nil, true}, {:remove, "Tocks", true}]
+      iex> [_, %{state: {:refused, error}}] = Situ.Pipeline.list_changes(p)
+      iex> error.code
+      :unknown_component
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+  """
+  @spec list_changes(target()) :: [
+          %{
+            id: term(),
+            change: atom(),
+            subject: String.t() | nil,
+            by: pid() | nil,
+            state: :waiting | :running | :applied | {:refused, Error.t()},
+            accepted: Situ.Time.t(),
+            ended: Situ.Time.t() | nil
+          }
+        ]
+  def list_changes(p), do: Client.call!(p, :changes)
+
+  @doc """
   Returns the pipelines of this node, each with its label, process and state.
 
       iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end

@@ -14,7 +14,9 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @spec apply_event(State.t(), Lifecycle.event()) :: State.t()
   def apply_event(state, event) do
     {life, actions} = Lifecycle.apply_event(state.life, event, State.now(state))
-    Enum.reduce(actions, %{state | life: life}, &perform_action/2)
+    # An operation ends when everything that it has caused is done; others may begin then.
+    {last, first} = Enum.split_with(actions, &match?({:reply, {:operation, _id}, _answer}, &1))
+    Enum.reduce(first ++ last, %{state | life: life}, &perform_action/2)
   end
 
   @spec apply_events(State.t(), [Lifecycle.event()]) :: State.t()
@@ -49,7 +51,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp handle_stage_exit(state, id, reason) do
     error = Errors.component_killed(hd(state.stages[id].vertices).path, reason)
     reached = Stages.reached_time(state, id)
-    state = state |> fail_pending(id) |> __MODULE__.apply_event({:exited, id, error, reached})
+    state = end_stage(state, id, {:exited, id, error, reached})
 
     if Extension.stage_removed?(state, id),
       do: __MODULE__.apply_event(state, {:left, id}),
@@ -61,20 +63,44 @@ defmodule Situ.Pipeline.LifecycleRunner do
   def handle_init_failure(state, id, error) do
     %{pid: pid} = state.stages[id]
 
-    state
-    |> fail_pending(id)
-    |> __MODULE__.apply_event({:init_failed, id, error})
-    |> handle_exit(pid, :normal)
+    state |> end_stage(id, {:init_failed, id, error}) |> handle_exit(pid, :normal)
   end
 
-  @doc "Fails the requests of all callers that wait for this stage."
-  @spec fail_pending(State.t(), pos_integer()) :: State.t()
-  def fail_pending(state, id) do
-    state = Dynamic.Replacement.fail_pending(state, id)
-    {state, events} = Dynamic.Input.fail_pending(state, id)
-    {state, more} = Dynamic.Tap.fail_pending(state, id)
-    apply_events(state, events ++ more)
+  # Refuses the operations that the stage was performing. The ones that waited for them find its next process.
+  defp end_stage(state, id, event) do
+    {state, replaced} = Dynamic.Replacement.fail_pending(state, id)
+    {state, attached} = Dynamic.Input.fail_pending(state, id)
+    {state, tapped} = Dynamic.Tap.fail_pending(state, id)
+
+    {refused, before} =
+      Enum.split_with(replaced ++ attached ++ tapped, &match?({:finished, _, _}, &1))
+
+    apply_events(state, before ++ [event | refused])
   end
+
+  @doc "Adds an operation to the log of the life cycle. Its caller waits no longer than the request's timeout, if any."
+  @spec accept_operation(State.t(), tuple(), GenServer.from() | nil) :: State.t()
+  def accept_operation(state, request, from) do
+    id = state.life.operations.last + 1
+    schedule_expiry(request, id)
+    __MODULE__.apply_event(state, {:accept, request, Dynamic.scope(state, request), from})
+  end
+
+  defp schedule_expiry({:replace, %{timeout: ms}}, id) when is_integer(ms),
+    do: send_expiry(id, Errors.request_timeout(:replace, ms), ms)
+
+  defp schedule_expiry({:checkpoint, ms}, id), do: send_expiry(id, Errors.checkpoint_late(), ms)
+  defp schedule_expiry(_request, _id), do: :ok
+
+  defp send_expiry(id, error, ms),
+    do: Process.send_after(self(), {:situ_event, {:expired, id, error}}, ms)
+
+  @doc "Returns whether this process has received a checkpoint that it still uses."
+  @spec holds_checkpoint?(State.t(), pid()) :: boolean()
+  def holds_checkpoint?(%{dynamic: %{checkpoint: %{ref: op, step: :held}}} = state, pid),
+    do: match?(%{^op => %{by: ^pid}}, state.life.operations.open)
+
+  def holds_checkpoint?(_state, _pid), do: false
 
   @doc "Handles handlers that have returned, perhaps after adding to the graph."
   @spec finish_handlers(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
@@ -178,7 +204,15 @@ defmodule Situ.Pipeline.LifecycleRunner do
     state
   end
 
+  defp perform_action({:perform, id, request, from}, state) do
+    {state, events} = Dynamic.perform(state, id, request, from)
+    apply_events(state, events)
+  end
+
   defp perform_action({:reply, nil, _answer}, state), do: state
+
+  defp perform_action({:reply, {:operation, id}, answer}, state),
+    do: __MODULE__.apply_event(state, {:finished, id, answer})
 
   defp perform_action({:reply, from, answer}, state) do
     GenServer.reply(from, answer)

@@ -29,7 +29,7 @@ defmodule Situ.Pipeline.TransactionsTest do
     start: [:not_running, :unknown_component, :still_running, :no_checkpoint, :component_killed],
     tap: [:not_running, :component_restarted],
     replace: [:not_running, :component_restarted],
-    checkpoint: [:not_running, :not_settled, :busy, :component_failed]
+    checkpoint: [:not_running, :not_settled, :component_failed]
   }
 
   defmodule Gain do
