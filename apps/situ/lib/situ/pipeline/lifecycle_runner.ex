@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Stages, State}
+  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, PendingCheckpoint, Stages, State}
   alias Situ.Pipeline.Dynamic.Extension
   alias Situ.Ports.ErrorCounters
   require Logger
@@ -71,10 +71,9 @@ defmodule Situ.Pipeline.LifecycleRunner do
     {state, replaced} = Dynamic.Replacement.fail_pending(state, id)
     {state, attached} = Dynamic.Input.fail_pending(state, id)
     {state, tapped} = Dynamic.Tap.fail_pending(state, id)
-
-    {refused, before} =
-      Enum.split_with(replaced ++ attached ++ tapped, &match?({:finished, _, _}, &1))
-
+    {state, saved} = PendingCheckpoint.fail_pending(state, id)
+    events = replaced ++ attached ++ tapped ++ saved
+    {refused, before} = Enum.split_with(events, &match?({:finished, _, _}, &1))
     apply_events(state, before ++ [event | refused])
   end
 

@@ -47,10 +47,21 @@ defmodule Situ.Pipeline.PendingCheckpoint do
         request_snapshots(put_checkpoint(state, checkpoint), :freezing, :freeze, sources)
 
       id ->
-        path = hd(state.stages[id].vertices).path
-        error = Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
-        {state, [{:finished, op, {:error, error}}]}
+        {state, [{:finished, op, {:error, ended_error(state, id)}}]}
     end
+  end
+
+  @doc "Ends the checkpoint with an error when the process of a stage has ended before its state is known."
+  @spec fail_pending(State.t(), pos_integer()) :: result()
+  def fail_pending(%{dynamic: %{checkpoint: %{step: step}, taps: taps}} = state, id)
+      when step != :held and not is_map_key(taps, id),
+      do: fail_checkpoint(state, ended_error(state, id))
+
+  def fail_pending(state, _id), do: {state, []}
+
+  defp ended_error(state, id) do
+    path = hd(state.stages[id].vertices).path
+    Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
   end
 
   defp stage_ids(state), do: Map.keys(state.stages) -- Map.keys(state.dynamic.taps)
