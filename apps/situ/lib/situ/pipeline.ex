@@ -45,6 +45,13 @@ defmodule Situ.Pipeline do
   for one message, a second compilation ends the pipeline with a `BadFunctionError`. Functions given as `&Module.name/1`
   always use the newest version and have no such limit.
 
+  ## Changing a running pipeline
+
+  `extend/2`, `remove/3`, `stop_part/3`, `start_part/3`, `replace/4`, `pause/1`, `checkpoint/3` and `Situ.attach_tap/3`
+  can be called at any time, from any number of processes. Changes of the same components take effect one after the
+  other, in the order of the calls; so do `pause/1` and `checkpoint/3`, which concern the whole pipeline. All others run
+  concurrently. A change is made completely, or refused with the reason. `list_changes/1` returns the last ones.
+
   ## Building from outside
 
   `new/1` opens an empty pipeline in state `:building`. Add components to it from any process, then call `launch/1`:
@@ -419,7 +426,8 @@ defmodule Situ.Pipeline do
       :done
 
   Options: `timeout:`, the time to wait for the checkpoint, in ms (5,000). Errors: `:no_snapshot` names a component
-  whose state is not plain data; `:not_settled` if messages were in flight all the time; `:busy`; `:not_running`.
+  whose state is not plain data; `:not_settled` if messages were in flight, or other changes running, all the time;
+  `:busy` inside the function of another checkpoint; `:not_running`.
   """
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}

@@ -1,7 +1,7 @@
 defmodule Situ.Application.PipelineResults do
   @moduledoc false
-  # Keeps the results of the last 256 pipelines that ended, so that a late `await/2` still returns a result. Results that
-  # take more memory than the limit are discarded earlier, the oldest first; the newest one is always kept.
+  # Keeps the results of the last 256 pipelines that ended, so that a late `await/2` still returns a result. If they
+  # take more memory than the limit, the oldest ones are discarded earlier; the newest one is always kept.
   @table __MODULE__
   @kept 256
   @kept_words 8_000_000

@@ -5,9 +5,10 @@ defmodule Situ.Lifecycle.Operations do
   #   waiting -> running -> applied or refused
   #
   # An operation reads and writes keys: ids of stages, `{:path, path}`, `:graph` (all of it), `:clock`. Two operations
-  # conflict if one of them writes a key that the other one reads or writes. An operation waits for the earlier ones with
-  # which it conflicts; all others run concurrently. The server performs it, whole or not at all, and the caller receives
-  # the answer. See docs/adr/0165-changes-are-operations-in-one-log.md.
+  # conflict if one of them writes a key that the other one reads or writes. An operation waits for the earlier ones
+  # with which it conflicts; all others run concurrently. The server performs it, whole or not at all, and the caller
+  # receives the answer.
+  # See docs/adr/0165-changes-are-operations-in-one-log.md.
   alias Situ.Error
   alias Situ.Lifecycle.{Errors, State}
 
@@ -153,7 +154,7 @@ defmodule Situ.Lifecycle.Operations do
   defp reply(state, %{from: from}, answer), do: State.add_action(state, {:reply, from, answer})
 
   defp start_free(%{operations: %{waiting: waiting} = log} = state) do
-    case Enum.split_with(waiting, &free?(log, log.open[&1])) do
+    case Enum.split_with(waiting, &can_start?(log, log.open[&1])) do
       {[], _waiting} ->
         state
 
@@ -163,7 +164,7 @@ defmodule Situ.Lifecycle.Operations do
   end
 
   # An operation that still runs may have stopped touching a key.
-  defp free?(log, operation) do
+  defp can_start?(log, operation) do
     not Enum.any?(operation.waits_for, fn id ->
       case log.open do
         %{^id => earlier} -> conflict?(earlier, operation)

@@ -248,8 +248,7 @@ defmodule Situ.Pipeline.Stages do
 
     for {tag, link} <- links, link.from != link.to do
       other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
-      closing = if link.to == id, do: state.life.links.closing[tag]
-      send(other, {:situ, {:peer, tag, pid, closing}})
+      send(other, {:situ, {:peer, tag, pid, link.to == id && state.life.links.closing[tag]}})
       # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
       if link.from == id and asks?, do: send(other, {:situ, {:ask, tag}})

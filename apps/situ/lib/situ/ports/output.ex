@@ -125,8 +125,8 @@ defmodule Situ.Ports.Output do
   end
 
   @doc """
-  Records that a process that replaces this one continues after the last posted message. Messages for another step of the
-  stage must be recorded only after everything made of them has been sent.
+  Records that a process that replaces this one continues after the last posted message. Messages for another step of
+  the stage must be recorded only after everything made of them has been sent.
   """
   @spec record_progress(t()) :: :ok
   def record_progress(%__MODULE__{port: %{mark: nil}}), do: :ok

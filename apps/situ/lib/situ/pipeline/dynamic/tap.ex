@@ -10,7 +10,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
 
   @type events :: [Situ.Lifecycle.event()]
 
-  @doc "Attaches a tap for the operation `op`, which ends when messages can arrive, or with an error. It ends with `owner`."
+  @doc "Attaches a tap, which ends with `owner`. The operation `op` ends when messages can arrive, or with an error."
   @spec attach(State.t(), Operations.id(), map(), pid()) :: {State.t(), events()}
   def attach(state, op, %{stream: which, component: component, opts: opts}, owner) do
     with {:ok, {id, output}} <- State.fetch_port(state, which),
