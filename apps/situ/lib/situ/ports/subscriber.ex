@@ -77,6 +77,9 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Replaces the consumer's process; the new process has no demand."
   @spec replace_consumer(t(), pid()) :: t()
+  # A producer that was restarted at the same time has known this process from the start.
+  def replace_consumer(%__MODULE__{pid: pid} = sub, pid), do: sub
+
   def replace_consumer(%__MODULE__{demand: {:closed, time}} = sub, pid) do
     sub = replace_consumer(%{sub | demand: 0}, pid)
     [sub] = sub |> add_demand(:infinity) |> close_drained(time)
