@@ -238,7 +238,8 @@ defmodule Situ.Pipeline.Stages do
 
     for {tag, link} <- links, link.from != link.to do
       other = if link.from == id, do: link.to, else: link.from
-      send_request(state, other, {:peer, tag, pid, state.life.links.closing[tag]})
+      closing = if link.to == id, do: state.life.links.closing[tag]
+      send_request(state, other, {:peer, tag, pid, closing})
       # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
       if link.from == id and asks?, do: send_request(state, other, {:ask, tag})

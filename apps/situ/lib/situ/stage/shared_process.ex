@@ -93,6 +93,9 @@ defmodule Situ.Stage.SharedProcess do
   def handle_info({:situ, {:refresh, {_pid, tag}}} = message, process),
     do: run_producer(process, tag, message)
 
+  def handle_info({:situ, {:untap, tag}} = message, process),
+    do: run_producer(process, tag, message)
+
   def handle_info({:"$gen_consumer", {_pid, tag}, _entry} = message, process),
     do: run_consumer(process, tag, message)
 
