@@ -12,7 +12,8 @@ defmodule Situ.Ports.Subscriber do
   # replaces a dead producer skips messages up to the last one that was sent (`resume`).
   #
   # After the closing mark, the subscriber of another stage remains until the consumer acknowledges the end of its input
-  # (`Address.acknowledge_end/2`), so that a process that replaces the consumer receives its messages and the mark again.
+  # (`Address.acknowledge_end/2`). A process that replaces the consumer until then receives the messages that were not
+  # handled, and the mark again.
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}

@@ -241,7 +241,7 @@ defmodule Situ.Stage.RequestHandler do
   end
 
   @doc "Sends everything that waits in the stage and reports its state for the checkpoint `ref`."
-  @spec prepare_pause(State.t(), reference()) :: State.t()
+  @spec prepare_pause(State.t(), term()) :: State.t()
   def prepare_pause(state, ref) do
     state = state |> release_withheld() |> Loop.run_waiting()
     report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})
