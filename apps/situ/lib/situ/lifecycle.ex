@@ -19,8 +19,8 @@ defmodule Situ.Lifecycle do
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
   # | `{:accept, request, scope, from}` | a change to the running pipeline is requested: Lifecycle.Operations |
-  # | `{:finished, id, answer}`, `{:answered, id, answer, writes}`, `{:expired, id, error}` | an operation has ended,
-  # continues with an answer, or its caller waits no longer |
+  # | `{:finished, id, reply}`, `{:answered, id, reply, writes}`, `{:expired, id, error}` | an operation has ended,
+  # continues after a reply, or its caller waits no longer |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are being added to the running pipeline |
   # | `{:start_part, ref, ids, how, from}`, `{:reset, ref, result}` | a stopped part is to start again |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | the running graph changed |
@@ -39,7 +39,7 @@ defmodule Situ.Lifecycle do
   # messages and end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs the error and calls the handlers |
   # | `{:perform, id, request, from}` | performs an operation, and sends the event `:finished` when it has ended |
-  # | `{:reply, from, answer}` | replies to a caller, or ends the operation with this id |
+  # | `{:reply, from, reply}` | replies to a caller, or ends the operation with this id |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | sends the event, or its measurement, later |
   # | `{:event, event}` | applies the event after the actions before it |
   # | `:finished` | publishes the result and ends |

@@ -7,7 +7,7 @@ defmodule Situ.Lifecycle.Operations do
   # An operation reads and writes keys: ids of stages, `{:path, path}`, `:graph` (all of it), `:clock`. Two operations
   # conflict if one of them writes a key that the other one reads or writes. An operation waits for the earlier ones
   # with which it conflicts; all others run concurrently. The server performs it, whole or not at all, and the caller
-  # receives the answer.
+  # receives the reply.
   # See docs/adr/0165-changes-are-operations-in-one-log.md.
   alias Situ.Error
   alias Situ.Lifecycle.{Errors, State}
@@ -94,7 +94,7 @@ defmodule Situ.Lifecycle.Operations do
     %{log | open: Map.delete(log.open, operation.id), keys: keys}
   end
 
-  @doc "Ends an operation with the answer for its caller, and starts the operations that waited for it."
+  @doc "Ends an operation with the reply for its caller, and starts the operations that waited for it."
   @spec finish(State.t(), id(), term(), Situ.Time.t()) :: State.t()
   def finish(%{operations: log} = state, id, answer, now) do
     case log.open do
@@ -110,7 +110,7 @@ defmodule Situ.Lifecycle.Operations do
     end
   end
 
-  @doc "Answers the caller of an operation that continues, and that now writes only the keys `writes`."
+  @doc "Replies to the caller of an operation that continues, and that now writes only the keys `writes`."
   @spec answer(State.t(), id(), term(), [term()]) :: State.t()
   def answer(%{operations: log} = state, id, answer, writes) do
     case log.open do

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Dynamic do
   @moduledoc false
   # Performs the operations of the life cycle's log (Lifecycle.Operations) on a running pipeline. The functions return
-  # events: `{:finished, id, answer}` when an operation has been applied or refused, now or later.
+  # events: `{:finished, id, reply}` when an operation has been applied or refused, now or later.
   #
   #   taps        by the id of their stage: Dynamic.Tap
   #   inputs      inputs being added or removed: Dynamic.Input
