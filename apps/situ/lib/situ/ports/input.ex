@@ -80,7 +80,7 @@ defmodule Situ.Ports.Input do
   defp ask(input, n), do: Address.send_to_producer(input.producer, input.tag, {:ask, n})
 
   @doc "Replaces the producer's process."
-  @spec replace_producer(t(), pid()) :: t()
+  @spec replace_producer(t(), Address.t()) :: t()
   def replace_producer(%__MODULE__{lossy: lossy} = input, pid) do
     lossy = with {queue, _fresh} <- lossy, do: {queue, 0}
     {sizes?, _arrived} = input.arrival

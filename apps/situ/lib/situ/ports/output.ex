@@ -338,7 +338,7 @@ defmodule Situ.Ports.Output do
     do: update_subscriber(output, from, &Subscriber.deliver_newest/1)
 
   defp update_subscriber(%{subs: subs} = output, {pid, tag}, fun) do
-    case Enum.split_while(subs, &(not Subscriber.matches?(&1, pid, tag))) do
+    case Enum.split_while(subs, &(&1.tag != tag or &1.pid != pid)) do
       {_others, []} -> :error
       {before, [sub | rest]} -> {:ok, finish(%{output | subs: before ++ [fun.(sub) | rest]})}
     end

@@ -73,20 +73,12 @@ defmodule Situ.Ports.Subscriber do
     }
   end
 
-  @doc """
-  Returns whether a request for the subscription `tag` from `address` is about this subscriber. A stage that has moved
-  from a shared process to its own sends requests from there, while the shared process forwards its messages.
-  """
-  @spec matches?(t(), Address.t(), term()) :: boolean()
-  def matches?(%__MODULE__{} = sub, address, tag),
-    do: sub.tag == tag and (sub.pid == address or sub.counters != nil)
-
   @doc "Builds a subscriber for another step of the calling stage."
   @spec new_local(term(), Address.t(), Counters.t()) :: t()
   def new_local(tag, address, counters), do: %{new(tag, address, counters) | demand: :local}
 
   @doc "Replaces the consumer's process; the new process has no demand."
-  @spec replace_consumer(t(), pid()) :: t()
+  @spec replace_consumer(t(), Address.t()) :: t()
   # A producer that was restarted at the same time has known this process from the start.
   # It may have missed the mark, which is sent regardless of demand, while it was starting.
   def replace_consumer(%__MODULE__{pid: pid} = sub, pid) do

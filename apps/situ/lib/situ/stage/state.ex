@@ -4,7 +4,7 @@ defmodule Situ.Stage.State do
   # Messages between two steps go from the output of one to the input of the other without a queue between processes.
   alias Situ.{Delivery, Error, Runtime}
   alias Situ.Graph.Vertex
-  alias Situ.Ports.{Counters, Input, Output, Outputs, Subscriber}
+  alias Situ.Ports.{Address, Counters, Input, Output, Outputs, Subscriber}
   alias Situ.Stage.{ErrorPolicy, Load, Step}
 
   @enforce_keys [:host, :steps]
@@ -247,7 +247,7 @@ defmodule Situ.Stage.State do
   defp local_waiting?(_from_another_process), do: false
 
   @doc "Replaces the pid of a restarted neighbour."
-  @spec replace_neighbour(t(), term(), pid()) :: t()
+  @spec replace_neighbour(t(), term(), Address.t()) :: t()
   def replace_neighbour(%__MODULE__{} = state, tag, pid) do
     state =
       case find_input(state, tag) do

@@ -63,7 +63,7 @@ defmodule Situ.Stage.Subscriptions do
   end
 
   defp matches?(sub, {_pid, tag}) when is_reference(tag), do: sub.tag == tag
-  defp matches?(sub, {pid, tag}), do: Subscriber.matches?(sub, pid, tag)
+  defp matches?(sub, {pid, tag}), do: sub.tag == tag and sub.pid == pid
 
   # Within the pipeline (tags are numbers) it is a last message that has crossed the end of the connection.
   defp refuse_unknown(state, {_pid, tag}) when is_integer(tag), do: state

@@ -32,12 +32,6 @@ defmodule Situ.Ports.OutputTest do
     end
   end
 
-  test "a consumer that has moved to another process asks from there", %{output: output} do
-    output = post(output, [1, 2])
-    ask(output, spawn(fn -> :ok end), 2)
-    assert received() == [1, 2]
-  end
-
   describe "a consumer that is replaced after the closing mark" do
     setup %{counters: counters} do
       dead = spawn(fn -> :ok end)
