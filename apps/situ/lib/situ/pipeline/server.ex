@@ -323,7 +323,8 @@ defmodule Situ.Pipeline.Server do
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
   defp handle_stage_message({:relocating, stage}, id, state),
-    do: {:noreply, StageProcesses.relocate_stage(state, id, stage)}
+    do:
+      {:noreply, state |> StageProcesses.relocate_stage(id, stage) |> Stages.introduce_moved(id)}
 
   defp handle_stage_message(:ended, id, state),
     do: state |> LifecycleRunner.handle_stage_end(id) |> Termination.stop_if_finished()

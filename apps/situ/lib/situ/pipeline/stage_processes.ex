@@ -1,8 +1,7 @@
 defmodule Situ.Pipeline.StageProcesses do
   @moduledoc false
   # The processes of a pipeline's stages: spawns them, alone or in groups, and knows which stages each contains.
-  alias Situ.Lifecycle.Links
-  alias Situ.Pipeline.{Stages, State}
+  alias Situ.Pipeline.State
   alias Situ.{Runtime, Stage}
   alias Situ.Stage.SharedProcess
 
@@ -56,11 +55,6 @@ defmodule Situ.Pipeline.StageProcesses do
     pid = Stage.spawn_relocated(stage, shared)
     state = remove_stage(state, id)
     send(shared, {:situ, {:relocated, id, pid}})
-
-    # A producer that is just restarting may have been connected with the shared process; it introduces itself to `pid`.
-    for {tag, %{from: from}} <- Links.list_incoming(state.life.links, id),
-        state.life.stages[from].again?,
-        do: Stages.send_request(state, from, {:peer, tag, pid, nil})
 
     %{
       state

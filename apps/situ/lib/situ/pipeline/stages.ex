@@ -249,6 +249,18 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc """
+  Introduces a stage that has moved to its own process to producers that are just restarting: they may have been
+  connected with the shared process, but will introduce themselves to the new one.
+  """
+  @spec introduce_moved(State.t(), pos_integer()) :: State.t()
+  def introduce_moved(%{life: life} = state, id) do
+    for {tag, %{from: from}} <- Links.list_incoming(life.links, id),
+        life.stages[from].again?,
+        reduce: state,
+        do: (state -> send_request(state, from, {:peer, tag, state.stages[id].pid, nil}))
+  end
+
+  @doc """
   Sends a request to a stage. A dropped stage receives none; its waiting callers got a reply when it was dropped.
   """
   @spec send_request(State.t(), pos_integer(), term()) :: State.t()
