@@ -75,7 +75,7 @@ defmodule Situ.GenStage do
       ...> end
       iex> Enum.all?(jobs, &(&1 in 1..3))
       true
-      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> {:ok, _report} = Situ.Pipeline.await(p)
       iex> :ok
       :ok
   """

@@ -18,6 +18,9 @@ defmodule Situ.Lifecycle do
   # | `{:restarted, id, error}` | a component raised and restarted within its process |
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
+  # | `{:accept, request, scope, from}` | a change to the running pipeline is requested: Lifecycle.Operations |
+  # | `{:finished, id, reply}`, `{:answered, id, reply, writes}`, `{:expired, id, error}` | an operation has ended,
+  # continues after a reply, or its caller waits no longer |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are being added to the running pipeline |
   # | `{:start_part, ref, ids, how, from}`, `{:reset, ref, result}` | a stopped part is to start again |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | the running graph changed |
@@ -35,7 +38,8 @@ defmodule Situ.Lifecycle do
   # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages, or lets them finish all
   # messages and end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs the error and calls the handlers |
-  # | `{:reply, from, answer}` | replies to a caller |
+  # | `{:perform, id, request, from}` | performs an operation, and sends the event `:finished` when it has ended |
+  # | `{:reply, from, reply}` | replies to a caller, or ends the operation with this id |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | sends the event, or its measurement, later |
   # | `{:event, event}` | applies the event after the actions before it |
   # | `:finished` | publishes the result and ends |
@@ -44,6 +48,7 @@ defmodule Situ.Lifecycle do
     Addition,
     Links,
     Member,
+    Operations,
     PartialStop,
     Removal,
     Shutdown,
@@ -63,6 +68,12 @@ defmodule Situ.Lifecycle do
   def apply_event(state, event, now) do
     state = state |> handle_event(event, now) |> advance_steps(now) |> confirm_end_time(event)
     state = state |> Addition.advance_stopped() |> Removal.drop_unconsumed()
+
+    state =
+      if state.phase in [:stopping, :completed],
+        do: Operations.refuse_waiting(state, now),
+        else: state
+
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
@@ -87,6 +98,18 @@ defmodule Situ.Lifecycle do
   defp handle_event(%{phase: phase} = state, {:start_part, _ref, _ids, _how, from}, _now)
        when phase != :running,
        do: Addition.reject_request(state, from)
+
+  defp handle_event(state, {:accept, request, scope, from}, now),
+    do: Operations.accept(state, request, scope, from, now)
+
+  defp handle_event(state, {:finished, id, answer}, now),
+    do: Operations.finish(state, id, answer, now)
+
+  defp handle_event(state, {:answered, id, answer, writes}, _now),
+    do: Operations.answer(state, id, answer, writes)
+
+  defp handle_event(state, {:expired, id, error}, now),
+    do: Operations.expire(state, id, error, now)
 
   defp handle_event(state, {:left, id}, _now), do: Removal.mark_leaving(state, id)
 
@@ -127,6 +150,9 @@ defmodule Situ.Lifecycle do
 
   defp handle_event(%{phase: :running} = state, {:stop_part, ref, ids, opts}, now),
     do: PartialStop.begin(state, ref, ids, opts, now)
+
+  defp handle_event(state, {:stop_part, _ref, _ids, %{from: from}}, _now),
+    do: Addition.reject_request(state, from)
 
   defp handle_event(state, {:grow, ref, plan, from}, _now),
     do: Addition.begin(state, ref, plan, from)

@@ -45,6 +45,13 @@ defmodule Situ.Pipeline do
   for one message, a second compilation ends the pipeline with a `BadFunctionError`. Functions given as `&Module.name/1`
   always use the newest version and have no such limit.
 
+  ## Changing a running pipeline
+
+  `extend/2`, `remove/3`, `stop_part/3`, `start_part/3`, `replace/4`, `pause/1`, `checkpoint/3` and `Situ.attach_tap/3`
+  can be called at any time, from any number of processes. Changes of the same components take effect one after the
+  other, in the order of the calls; so do `pause/1` and `checkpoint/3`, which concern the whole pipeline. All others run
+  concurrently. A change is made completely, or refused with the reason. `list_changes/1` returns the last ones.
+
   ## Building from outside
 
   `new/1` opens an empty pipeline in state `:building`. Add components to it from any process, then call `launch/1`:
@@ -293,6 +300,40 @@ defmodule Situ.Pipeline do
   def info(p), do: Client.call!(p, :info)
 
   @doc """
+  Returns the changes to the running pipeline, the newest first: those that wait or are running, and the last hundred
+  that have ended.
+
+  Each change has an `id` that grows with the order of the requests, the kind of `change`, its `subject` (a path or the
+  name of a stream), the process that has requested it (`by`), its `state` (`:waiting`, `:running`, `:applied` or
+  `{:refused, error}`), and the times of the pipeline's clock at which it was `accepted` and `ended`.
+
+      iex> ticks = fn p -> Situ.timer(p, every: Situ.Time.ms(1), name: "Ticks") end
+      iex> {:ok, p} = Situ.Pipeline.start(ticks, pipeline: [replay: [interval: {0, :unbounded}]])
+      iex> {:error, _} = Situ.Pipeline.remove(p, "Tocks")
+      iex> :ok = Situ.Pipeline.pause(p)
+      iex> for change <- Situ.Pipeline.list_changes(p), do: {change.change, change.subject, change.by == self()}
+      [{:pause, nil, true}, {:remove, "Tocks", true}]
+      iex> [_, %{state: {:refused, error}}] = Situ.Pipeline.list_changes(p)
+      iex> error.code
+      :unknown_component
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+  """
+  @spec list_changes(target()) :: [
+          %{
+            id: term(),
+            change: atom(),
+            subject: String.t() | nil,
+            by: pid() | nil,
+            state: :waiting | :running | :applied | {:refused, Error.t()},
+            accepted: Situ.Time.t(),
+            ended: Situ.Time.t() | nil
+          }
+        ]
+  def list_changes(p), do: Client.call!(p, :changes)
+
+  @doc """
   Returns the pipelines of this node, each with its label, process and state.
 
       iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end
@@ -385,7 +426,8 @@ defmodule Situ.Pipeline do
       :done
 
   Options: `timeout:`, the time to wait for the checkpoint, in ms (5,000). Errors: `:no_snapshot` names a component
-  whose state is not plain data; `:not_settled` if messages were in flight all the time; `:busy`; `:not_running`.
+  whose state is not plain data; `:not_settled` if messages were in flight, or other changes running, all the time;
+  `:busy` inside the function of another checkpoint; `:not_running`.
   """
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}

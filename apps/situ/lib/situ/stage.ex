@@ -194,7 +194,8 @@ defmodule Situ.Stage do
         do: Callback.stop_component(worker, reason)
   end
 
-  # Within the pipeline (tags are numbers) it is a last message that has crossed the end of the connection.
+  # A restarted neighbour repeats the closing mark of an input that has closed, and a last message may cross the end of
+  # the connection (tags of the pipeline are numbers).
   defp handle_unknown(state, tag, _message) when is_integer(tag), do: state
   defp handle_unknown(state, _tag, message), do: Loop.handle_plain_message(state, message)
 

@@ -236,6 +236,13 @@ defmodule Situ.LifecycleTest do
     {actions, life} = apply_events(life, [{:stop_part, :ref, [2, 3], opts}, {:started, 2}])
     assert life.links.closing == %{1 => 9}
     assert [1, 2] = for({:rewire, 2, links} <- actions, {tag, _link} <- links, do: tag)
+
+    # The messages before the mark would be lost if they were sent before the new process is connected.
+    assert [{:rewire, 2, _}, {:tell, 1, {:cut, 1, 9}}] =
+             Enum.filter(
+               actions,
+               &(match?({:rewire, _, _}, &1) or match?({:tell, 1, {:cut, _, _}}, &1))
+             )
   end
 
   test "a stage that starts after its producer has ended gets the closing mark" do

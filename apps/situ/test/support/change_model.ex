@@ -129,14 +129,15 @@ defmodule Situ.Fixture.ChangeModel do
   # A source that continues skips nothing.
   defp skips?(i, {_process, {last, _, _}}, own_source?), do: own_source? and i != last + 1
 
-  # An operator that is killed restarts with a fresh state and loses the messages that it had received.
+  # An operator that is killed loses nothing. It restarts with a fresh state and handles the messages again that it had
+  # not acknowledged, but does not emit again what it had emitted of them.
   defp find_victim_problem(entries, changes) do
     {_last, resets, problems} =
       Enum.reduce(entries, {new_state(), 0, []}, fn {_, {i, _, _} = state},
                                                     {{last, _, _} = before, resets, problems} ->
         cond do
           i == last + 1 and state == step(i, before) -> {state, resets, problems}
-          i > last and state == step(i, new_state()) -> {state, resets + 1, problems}
+          i == last + 1 and restarted?(state) -> {state, resets + 1, problems}
           true -> {state, resets, [{i, state, before} | problems]}
         end
       end)
@@ -144,6 +145,9 @@ defmodule Situ.Fixture.ChangeModel do
     too_many? = resets > count(changes, "Victim", [:kill])
     if problems != [] or too_many?, do: {:victim, resets, problems, entries: entries}
   end
+
+  defp restarted?({i, n, _hash} = state),
+    do: n <= i + 1 and state == Enum.reduce((i - n + 1)..i, new_state(), &step/2)
 
   # A change that was refused has no effect.
   defp count(changes, name, kinds),

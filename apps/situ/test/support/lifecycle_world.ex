@@ -115,21 +115,20 @@ defmodule Situ.Fixture.LifecycleWorld do
     if ids == [], do: world, else: stop_part(world, ids, [])
   end
 
-  # A removed part may have ended before, completely or partly.
+  # A removed part may have ended before, completely or partly. An operation waits for others on the same stages.
   defp happen({:wish, {:remove, ids}}, world) do
-    growing = growing_ids(world)
-    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
+    busy = growing_ids(world) ++ stopping_ids(world)
+    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in busy)
     forget = ids |> Enum.uniq() |> Enum.filter(there?)
     if forget == [], do: world, else: stop_part(world, part(world, forget), forget)
   end
 
   # A part of which no stage is running starts again, now or when it has ended.
   defp happen({:wish, {:start, ids}}, %{life: %{phase: :running}} = world) do
-    growing = growing_ids(world)
-    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
+    busy = growing_ids(world) ++ stopping_ids(world)
+    there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in busy)
     ids = ids |> Enum.uniq() |> Enum.filter(there?)
-    stopping = for {_, part} <- world.life.parts, id <- part.ids, do: id
-    stopped? = &(&1 in stopping or not world.life.stages[&1].alive?)
+    stopped? = &(world.life.stages[&1].status in [:ended, :dead])
 
     if ids != [] and Enum.all?(ids, stopped?),
       do: apply_event(world, {:start_part, make_ref(), ids, :fresh, {:starter, make_ref()}}),
@@ -199,6 +198,7 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp part(_world, _ids), do: []
 
+  defp stopping_ids(world), do: for({_, part} <- world.life.parts, id <- part.ids, do: id)
   defp growing_ids(world), do: for({_, growth} <- world.life.growths, id <- growth.ids, do: id)
 
   defp stop_part(%{life: %{phase: :running}} = world, ids, forget) do

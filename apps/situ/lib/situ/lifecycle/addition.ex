@@ -10,7 +10,7 @@ defmodule Situ.Lifecycle.Addition do
   #   start  `handle_start/2` has run in each
   #   lend   the streams that they consume have added them as subscribers
   alias Situ.Error
-  alias Situ.Lifecycle.{Errors, Failure, Links, Member, PartialStop, State}
+  alias Situ.Lifecycle.{Errors, Failure, Links, Member, State}
   import Situ.Lifecycle.State
 
   @type plan :: %{
@@ -78,7 +78,7 @@ defmodule Situ.Lifecycle.Addition do
   end
 
   defp completely_ended?(state, id, ids) do
-    not state.stages[id].alive? and PartialStop.find_ref(state, id) == nil and
+    not state.stages[id].alive? and
       Enum.all?(Links.list_outgoing(state.links, id), fn {_, link} -> link.to in ids end)
   end
 
@@ -123,10 +123,6 @@ defmodule Situ.Lifecycle.Addition do
       growth.step not in [:ended, :reset] and id in growth.ids && ref
     end)
   end
-
-  @doc "Returns whether a stage is being added, or waits to be started again."
-  @spec adding?(State.t(), State.id()) :: boolean()
-  def adding?(state, id), do: Enum.any?(state.growths, fn {_ref, growth} -> id in growth.ids end)
 
   @doc "Applies an event of a stage that is being added."
   @spec handle_event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()

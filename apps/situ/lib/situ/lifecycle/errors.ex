@@ -10,6 +10,27 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
+  @doc "Builds the error of an operation whose caller ended while the operation waited for others."
+  @spec caller_ended() :: Error.t()
+  def caller_ended,
+    do: Error.new(:caller_ended, "the process that requested the change ended before it began")
+
+  @doc "Builds the error of a checkpoint that a process requests while it still uses another one."
+  @spec checkpoint_in_use() :: Error.t()
+  def checkpoint_in_use,
+    do: Error.new(:busy, "a checkpoint of the pipeline is already running in the same process")
+
+  @doc "Builds the error of a checkpoint that did not begin in time, because other operations were running."
+  @spec checkpoint_late() :: Error.t()
+  def checkpoint_late do
+    Error.new(
+      :not_settled,
+      "no checkpoint was taken: other changes of the pipeline took too long",
+      why: "a checkpoint waits for the changes that were requested before it",
+      fix: "allow more time (timeout:); Situ.Pipeline.list_changes/1 shows the changes"
+    )
+  end
+
   @spec source_removed() :: Error.t()
   def source_removed,
     do: Error.new(:not_running, "the component that this stream comes from has been removed")

@@ -47,11 +47,11 @@ defmodule Situ.Lifecycle.Failure do
       state.step == :quit ->
         clear_pending(set_status(state, [id], :dead), id)
 
+      member.on_error != :stop and restart_allowed?(state, member) ->
+        restart_stage(state, member, reason, reached, now)
+
       member.on_error != :stop and not member.open? ->
         state |> add_action({:noted, reason}) |> close_dead_stage(id, now)
-
-      member.on_error != :stop and restart_allowed?(state) ->
-        restart_stage(state, member, reason, reached, now)
 
       true ->
         state
@@ -72,7 +72,15 @@ defmodule Situ.Lifecycle.Failure do
     end)
   end
 
-  defp restart_allowed?(%{phase: phase}), do: phase in [:starting, :running]
+  # While the pipeline drains, messages may still wait in a stage whose inputs have closed. A stage that was stuck, or
+  # part of a pipeline that has failed, ends.
+  defp restart_allowed?(%{phase: :stopping} = state, member) do
+    unsent? = Links.list_outgoing(state.links, member.id) != []
+    state.errors == [] and not member.tap? and (member.open? or unsent?)
+  end
+
+  defp restart_allowed?(%{phase: phase}, member),
+    do: phase in [:starting, :running] and member.open?
 
   defp restart_stage(state, member, reason, reached, now) do
     case count_restart(state, member.id) do
@@ -82,11 +90,7 @@ defmodule Situ.Lifecycle.Failure do
           |> add_action({:restarted, member.id, reason})
           |> add_action({:spawn, [member.id]})
 
-        state = update_member(state, member.id, &%{&1 | alive?: true, again?: true})
-        # The other stages wait until it has completed the step that they have already completed.
-        if state.step in [:up, :sources],
-          do: %{state | pending: MapSet.put(state.pending, member.id)},
-          else: state
+        state |> reopen_stage(member) |> await_restart(member)
 
       {:error, state} ->
         state
@@ -97,12 +101,35 @@ defmodule Situ.Lifecycle.Failure do
     end
   end
 
+  defp reopen_stage(state, %{id: id, open?: open?}) do
+    status = &if(&1 == :closed, do: :running, else: &1)
+    links = Links.reopen_inputs(state.links, id)
+    # A closing output of an open stage was cut off for a part that is being stopped.
+    links = if open?, do: links, else: Links.reopen_outputs(links, id)
+
+    %{state | links: links, closed: List.delete(state.closed, id)}
+    |> update_member(
+      id,
+      &%{&1 | alive?: true, again?: true, open?: true, status: status.(&1.status)}
+    )
+  end
+
+  # The other stages wait until it has completed the step that they have already completed. A source stops again.
+  defp await_restart(%{step: :close} = state, %{source?: true, id: id}),
+    do: %{state | step: :stop, pending: MapSet.new([id])}
+
+  defp await_restart(%{step: step} = state, %{source?: source?, id: id})
+       when step in [:up, :sources, :close] or (source? and step in [:settle, :stop]),
+       do: %{state | pending: MapSet.put(state.pending, id)}
+
+  defp await_restart(state, _member), do: state
+
   @doc "Handles a component that raised and restarted in its process; too many restarts fail the stage."
   @spec handle_component_restart(State.t(), State.id(), Error.t()) :: State.t()
   def handle_component_restart(state, id, error) do
     state = add_action(state, {:noted, error})
 
-    if restart_allowed?(state) and state.stages[id].status == :running do
+    if state.phase in [:starting, :running] and state.stages[id].status == :running do
       case count_restart(state, id) do
         {:ok, state} ->
           state

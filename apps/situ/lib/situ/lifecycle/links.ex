@@ -4,6 +4,7 @@ defmodule Situ.Lifecycle.Links do
   #
   #   active    links whose consumers have not taken the closing mark yet
   #   closing   active links whose producers have closed, with the time; their closing marks are in flight
+  #   ended     the closing times of links that are no longer active
   #   topology  all links that ever existed, to find the stages downstream of a stage
 
   @type id :: pos_integer()
@@ -14,13 +15,14 @@ defmodule Situ.Lifecycle.Links do
           optional(atom()) => term()
         }
 
-  defstruct active: %{}, into: %{}, out_of: %{}, closing: %{}, topology: %{}
+  defstruct active: %{}, into: %{}, out_of: %{}, closing: %{}, ended: %{}, topology: %{}
 
   @type t :: %__MODULE__{
           active: %{term() => link()},
           into: %{id() => MapSet.t()},
           out_of: %{id() => MapSet.t()},
           closing: %{term() => Situ.Time.t()},
+          ended: %{term() => Situ.Time.t() | nil},
           topology: %{term() => link()}
         }
 
@@ -49,7 +51,8 @@ defmodule Situ.Lifecycle.Links do
           | active: Map.delete(links.active, tag),
             into: delete_tag(links.into, link.to, tag),
             out_of: delete_tag(links.out_of, link.from, tag),
-            closing: Map.delete(links.closing, tag)
+            closing: Map.delete(links.closing, tag),
+            ended: Map.put(links.ended, tag, links.closing[tag])
         }
 
       _ ->
@@ -61,7 +64,28 @@ defmodule Situ.Lifecycle.Links do
   @spec forget_link(t(), term()) :: t()
   def forget_link(links, tag) do
     links = deactivate_link(links, tag)
-    %{links | topology: Map.delete(links.topology, tag)}
+    %{links | topology: Map.delete(links.topology, tag), ended: Map.delete(links.ended, tag)}
+  end
+
+  @doc "Activates the closed inputs of a stage that starts again: it takes their closing marks again."
+  @spec reopen_inputs(t(), id()) :: t()
+  def reopen_inputs(links, id) do
+    closed =
+      for {tag, %{to: ^id, from: from} = link} <- links.topology,
+          from != id and not is_map_key(links.active, tag),
+          time = links.ended[tag],
+          do: {tag, link, time}
+
+    Enum.reduce(closed, links, fn {tag, link, time}, links ->
+      links |> add(tag, link) |> close_link(tag, time)
+    end)
+  end
+
+  @doc "Records that the outputs of a stage that had closed are open again."
+  @spec reopen_outputs(t(), id()) :: t()
+  def reopen_outputs(links, id) do
+    outputs = links.out_of |> Map.get(id, []) |> Enum.to_list()
+    %{links | closing: Map.drop(links.closing, outputs)}
   end
 
   @doc "Records that the outputs of `id` closed at `time`, so that its closing marks are in flight."

@@ -14,7 +14,7 @@ defmodule Situ.Lifecycle.PartialStop do
   @typedoc """
   A part that is being stopped. `ids` are its stages, and `pending` are its sources that have yet to stop. `error` is
   the first error during the stop. `forget` holds the stages to remove with it, including stages that ended before.
-  `waits_for` lists other parts that contain some of these stages and are still being stopped. With `checkpoint?`, its
+  With `checkpoint?`, its
   stages report snapshots with which they can start again.
   """
   @type t :: %{
@@ -23,7 +23,6 @@ defmodule Situ.Lifecycle.PartialStop do
           final: Situ.Time.t(),
           from: GenServer.from() | nil,
           forget: [State.id()],
-          waits_for: [reference() | {:unit, String.t()}],
           checkpoint?: boolean(),
           error: Error.t() | nil
         }
@@ -51,7 +50,6 @@ defmodule Situ.Lifecycle.PartialStop do
     state = send_to_stages(state, sources, {:stop, final})
 
     forget = Map.get(opts, :forget, [])
-    earlier = for {other, part} <- state.parts, Enum.any?(forget, &(&1 in part.ids)), do: other
 
     part = %{
       ids: ids,
@@ -59,7 +57,6 @@ defmodule Situ.Lifecycle.PartialStop do
       final: final,
       from: from,
       forget: forget,
-      waits_for: earlier,
       checkpoint?: Map.get(opts, :checkpoint?, false),
       error: nil
     }
@@ -73,10 +70,9 @@ defmodule Situ.Lifecycle.PartialStop do
     |> add_action({:watch, state.limits.stop_timeout, ref})
   end
 
-  # A consumer that is just restarting may miss the closing mark; it receives another one when it has started.
-  # A producer that is just restarting is asked when it has started.
+  # A stage that is just restarting may miss the request or the messages; the producer is asked when it has started.
   defp close_link(state, tag, link, time) do
-    again? = state.stages[link.from].again?
+    again? = state.stages[link.from].again? or state.stages[link.to].again?
     state = if again?, do: state, else: send_to_stages(state, [link.from], {:cut, tag, time})
     %{state | links: Links.close_link(state.links, tag, time)}
   end
@@ -156,15 +152,13 @@ defmodule Situ.Lifecycle.PartialStop do
   def advance_parts(%{parts: parts} = state) when parts == %{}, do: state
 
   def advance_parts(state) do
-    next = Enum.reduce(Map.keys(state.parts), state, &advance_part/2)
-    # Another part may have been waiting for a part that has just ended.
-    if map_size(next.parts) < map_size(state.parts), do: advance_parts(next), else: next
+    Enum.reduce(Map.keys(state.parts), state, &advance_part/2)
   end
 
   defp advance_part(ref, state) do
     part = state.parts[ref]
 
-    if still_waiting?(part, state) do
+    if MapSet.size(part.pending) > 0 do
       state
     else
       order = for id <- Enum.sort(part.ids), state.stages[id].open?, do: id
@@ -182,9 +176,6 @@ defmodule Situ.Lifecycle.PartialStop do
       end
     end
   end
-
-  defp still_waiting?(part, state),
-    do: MapSet.size(part.pending) > 0 or Enum.any?(part.waits_for, &is_map_key(state.parts, &1))
 
   defp quit_part(state, ref, part) do
     ids = MapSet.to_list(part.ids)

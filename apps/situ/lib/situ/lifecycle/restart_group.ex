@@ -3,7 +3,7 @@ defmodule Situ.Lifecycle.RestartGroup do
   # A composite with its own `on_error:`, so that the failure or death of a stage in it does not end the pipeline.
   # Either the whole composite restarts, or it ends and the rest keeps running. Pure.
   alias Situ.Error
-  alias Situ.Lifecycle.{Failure, PartialStop, State}
+  alias Situ.Lifecycle.{Failure, Operations, PartialStop, State}
   import Situ.Lifecycle.State
 
   # A stage that has not ended by itself after this many ms is killed.
@@ -41,7 +41,9 @@ defmodule Situ.Lifecycle.RestartGroup do
     state = set_status(state, [id], :failed)
     ids = for member <- open_members(state, path), member.alive?, do: member.id
     state = if alive?, do: state, else: Failure.close_dead_stage(state, id, now)
-    opts = %{catch_up: 0, from: nil}
+    scope = %{what: {:close, path}, reads: [:graph], writes: [{:path, path} | ids]}
+    state = Operations.add_running(state, {:unit, path}, scope, now)
+    opts = %{catch_up: 0, from: {:operation, {:unit, path}}}
     add_action(state, {:event, {:stop_part, {:unit, path}, ids, opts}})
   end
 

@@ -174,7 +174,8 @@ defmodule Situ.Lifecycle.Shutdown do
 
   def handle_closed_input(state, id, tag, time) do
     state = unwire_restarting(state, state.links.active[tag].from, tag)
-    state = %{state | links: Links.deactivate_link(state.links, tag)}
+    links = state.links |> Links.close_link(tag, time) |> Links.deactivate_link(tag)
+    state = %{state | links: links}
     state = update_member(state, id, &%{&1 | ends_at: max(&1.ends_at || time, time)})
     member = state.stages[id]
 
@@ -198,7 +199,7 @@ defmodule Situ.Lifecycle.Shutdown do
       not open? and state.links.active == %{} ->
         quit_stages(state)
 
-      not open? or state.links.closing != %{} ->
+      not open? or state.links.closing != %{} or restarting?(state) ->
         state
 
       state.ending.drain == nil ->
@@ -220,7 +221,7 @@ defmodule Situ.Lifecycle.Shutdown do
     open = MapSet.to_list(state.pending)
 
     cond do
-      open == [] or state.links.closing != %{} ->
+      open == [] or state.links.closing != %{} or restarting?(state) ->
         update_ending(state, drain: nil)
 
       seen.quiet? or polls > @still or (state.ending.by_hand and state.ending.enough?) ->
@@ -235,6 +236,8 @@ defmodule Situ.Lifecycle.Shutdown do
   end
 
   def handle_drain_measurement(state, _seen), do: update_ending(state, drain: nil)
+
+  defp restarting?(state), do: Enum.any?(state.pending, &state.stages[&1].again?)
 
   defp poll_interval(polls) when polls < 5, do: 1
   defp poll_interval(_polls), do: 10

@@ -56,9 +56,12 @@ defmodule Situ.Lifecycle.Startup do
   def mark_started(state, id) do
     state = state |> introduce_to_neighbours(id) |> add_action({:run, [id]})
 
-    if state.ending.final != nil and state.phase == :stopping,
-      do: send_to_stages(state, [id], {:stop, state.ending.final}),
-      else: state
+    # The request to the previous process was lost with it.
+    case state do
+      %{step: :settle} -> send_to_stages(state, [id], :settle)
+      %{phase: :stopping, ending: %{final: time}} -> send_to_stages(state, [id], {:stop, time})
+      _ -> state
+    end
   end
 
   defp introduce_to_neighbours(state, id) do
@@ -67,14 +70,14 @@ defmodule Situ.Lifecycle.Startup do
     state =
       Enum.reduce(Links.list_incoming(state.links, id), state, &replay_closing_mark(&1, &2, id))
 
-    state = Enum.reduce(Links.list_outgoing(state.links, id), state, &cut_again(&1, &2, id))
+    state = Enum.reduce(Links.list_outgoing(state.links, id), state, &cut_again/2)
     update_member(state, id, &%{&1 | again?: false})
   end
 
   # The stream of an open stage is closing only where it was cut off for a part that is being stopped.
-  defp cut_again({tag, _link}, state, id) do
+  defp cut_again({tag, %{from: from}}, state) do
     case state.links.closing do
-      %{^tag => time} -> send_to_stages(state, [id], {:cut, tag, time})
+      %{^tag => time} -> send_to_stages(state, [from], {:cut, tag, time})
       _open -> state
     end
   end
@@ -83,10 +86,14 @@ defmodule Situ.Lifecycle.Startup do
   # messages that the previous process had not handled.
   defp replay_closing_mark({tag, link}, state, id) do
     time = state.links.closing[tag]
+    producer = state.stages[link.from]
 
-    if time != nil and not state.stages[link.from].alive?,
-      do: send_to_stages(state, [id], {:peer_gone, tag, time}),
-      else: state
+    cond do
+      time == nil or producer.again? -> state
+      not producer.alive? -> send_to_stages(state, [id], {:peer_gone, tag, time})
+      producer.open? -> cut_again({tag, link}, state)
+      true -> state
+    end
   end
 
   defp list_neighbours(state, id),

@@ -6,9 +6,10 @@ defmodule Situ.Lifecycle.State do
   #   awaited  the sources that have not reported their end
   #   parts    the parts that are being stopped, by reference: Lifecycle.PartialStop
   #   growths  the parts that are being added, by reference: Lifecycle.Addition
+  #   operations  the log of the changes to the running pipeline: Lifecycle.Operations
   #   leaving  removed stages whose processes have ended: Lifecycle.Removal
   #   limits   `{restarts, ms}`: how often a stage may be restarted within `ms`; `stop_timeout` ms
-  alias Situ.Lifecycle.{EndState, Links, Member}
+  alias Situ.Lifecycle.{EndState, Links, Member, Operations}
 
   @type id :: pos_integer()
   @type phase :: :building | :starting | :running | :stopping | :completed
@@ -34,6 +35,7 @@ defmodule Situ.Lifecycle.State do
             ending: %EndState{},
             parts: %{},
             growths: %{},
+            operations: %Operations{},
             leaving: MapSet.new(),
             limits: %{restarts: {3, 5_000}, stop_timeout: 30_000},
             errors: [],
@@ -49,8 +51,9 @@ defmodule Situ.Lifecycle.State do
           pending: MapSet.t(id()),
           awaited: MapSet.t(id()),
           ending: EndState.t(),
-          parts: %{(reference() | {:unit, String.t()}) => map()},
-          growths: %{reference() => map()},
+          parts: %{Operations.id() => map()},
+          growths: %{Operations.id() => map()},
+          operations: Operations.t(),
           leaving: MapSet.t(id()),
           limits: %{restarts: {non_neg_integer(), pos_integer()}, stop_timeout: pos_integer()},
           errors: [Situ.Error.t()],

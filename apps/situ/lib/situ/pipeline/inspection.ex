@@ -3,6 +3,7 @@ defmodule Situ.Pipeline.Inspection do
   # Reports the state of a pipeline: report, snapshot and progress. Reads counters and sends no requests to components.
   alias Situ.Runtime
   alias Situ.Diagnostics.{Averages, Snapshot, SnapshotBuilder, Trace}
+  alias Situ.Lifecycle.Operations
   alias Situ.Pipeline.{Report, Stages, State}
   alias Situ.Ports.{Counters, ErrorCounters}
 
@@ -116,6 +117,16 @@ defmodule Situ.Pipeline.Inspection do
       windows: if(averages, do: Averages.build_windows(averages, time, totals), else: %{}),
       descriptions: state.view.descriptions
     })
+  end
+
+  @doc "Returns the operations that have changed the pipeline, the newest first."
+  @spec list_changes(State.t()) :: [map()]
+  def list_changes(state) do
+    for %{what: {change, subject}} = operation <- Operations.list(state.life.operations) do
+      operation
+      |> Map.take([:id, :by, :state, :accepted, :ended])
+      |> Map.merge(%{change: change, subject: subject})
+    end
   end
 
   @doc "Returns where the message of an originating time is."

@@ -5,7 +5,17 @@ defmodule Situ.Pipeline.LifecycleRunner do
   alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, StageProcesses, Stages, State}
+
+  alias Situ.Pipeline.{
+    Dynamic,
+    Handlers,
+    Inspection,
+    PendingCheckpoint,
+    StageProcesses,
+    Stages,
+    State
+  }
+
   alias Situ.Pipeline.Dynamic.Extension
   alias Situ.Ports.ErrorCounters
   require Logger
@@ -14,7 +24,9 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @spec apply_event(State.t(), Lifecycle.event()) :: State.t()
   def apply_event(state, event) do
     {life, actions} = Lifecycle.apply_event(state.life, event, State.now(state))
-    Enum.reduce(actions, %{state | life: life}, &perform_action/2)
+    # An operation ends when everything that it has caused is done; others may begin then.
+    {last, first} = Enum.split_with(actions, &match?({:reply, {:operation, _id}, _answer}, &1))
+    Enum.reduce(first ++ last, %{state | life: life}, &perform_action/2)
   end
 
   @spec apply_events(State.t(), [Lifecycle.event()]) :: State.t()
@@ -58,7 +70,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
   defp handle_stage_exit(state, id, reason) do
     error = Errors.component_killed(hd(state.stages[id].vertices).path, reason)
     reached = Stages.reached_time(state, id)
-    state = state |> fail_pending(id) |> __MODULE__.apply_event({:exited, id, error, reached})
+    state = end_stage(state, id, {:exited, id, error, reached})
 
     if Extension.stage_removed?(state, id),
       do: __MODULE__.apply_event(state, {:left, id}),
@@ -68,20 +80,43 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @doc "Handles a stage that failed to initialize. Its process ends by itself, so its stage is free for another one."
   @spec handle_init_failure(State.t(), pos_integer(), Error.t()) :: State.t()
   def handle_init_failure(state, id, error) do
-    state
-    |> fail_pending(id)
-    |> __MODULE__.apply_event({:init_failed, id, error})
-    |> handle_stage_end(id)
+    state |> end_stage(id, {:init_failed, id, error}) |> handle_stage_end(id)
   end
 
-  @doc "Fails the requests of all callers that wait for this stage."
-  @spec fail_pending(State.t(), pos_integer()) :: State.t()
-  def fail_pending(state, id) do
-    state = Dynamic.Replacement.fail_pending(state, id)
-    {state, events} = Dynamic.Input.fail_pending(state, id)
-    {state, more} = Dynamic.Tap.fail_pending(state, id)
-    apply_events(state, events ++ more)
+  # Refuses the operations that the stage was performing. The ones that waited for them find its next process.
+  defp end_stage(state, id, event) do
+    {state, replaced} = Dynamic.Replacement.fail_pending(state, id)
+    {state, attached} = Dynamic.Input.fail_pending(state, id)
+    {state, tapped} = Dynamic.Tap.fail_pending(state, id)
+    {state, saved} = PendingCheckpoint.fail_pending(state, id)
+    events = replaced ++ attached ++ tapped ++ saved
+    {refused, before} = Enum.split_with(events, &match?({:finished, _, _}, &1))
+    apply_events(state, before ++ [event | refused])
   end
+
+  @doc "Adds an operation to the log of the life cycle. Its caller waits no longer than the request's timeout, if any."
+  @spec accept_operation(State.t(), tuple(), GenServer.from() | nil) :: State.t()
+  def accept_operation(state, request, from) do
+    id = state.life.operations.last + 1
+    schedule_expiry(request, id)
+    __MODULE__.apply_event(state, {:accept, request, Dynamic.scope(state, request), from})
+  end
+
+  defp schedule_expiry({:replace, %{timeout: ms}}, id) when is_integer(ms),
+    do: send_expiry(id, Errors.request_timeout(:replace, ms), ms)
+
+  defp schedule_expiry({:checkpoint, ms}, id), do: send_expiry(id, Errors.checkpoint_late(), ms)
+  defp schedule_expiry(_request, _id), do: :ok
+
+  defp send_expiry(id, error, ms),
+    do: Runtime.send_after({:situ_event, {:expired, id, error}}, ms)
+
+  @doc "Returns whether this process has received a checkpoint that it still uses."
+  @spec holds_checkpoint?(State.t(), pid()) :: boolean()
+  def holds_checkpoint?(%{dynamic: %{checkpoint: %{ref: op, step: :held}}} = state, pid),
+    do: match?(%{^op => %{by: ^pid}}, state.life.operations.open)
+
+  def holds_checkpoint?(_state, _pid), do: false
 
   @doc "Handles handlers that have returned, perhaps after adding to the graph."
   @spec finish_handlers(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
@@ -185,7 +220,15 @@ defmodule Situ.Pipeline.LifecycleRunner do
     state
   end
 
+  defp perform_action({:perform, id, request, from}, state) do
+    {state, events} = Dynamic.perform(state, id, request, from)
+    apply_events(state, events)
+  end
+
   defp perform_action({:reply, nil, _answer}, state), do: state
+
+  defp perform_action({:reply, {:operation, id}, answer}, state),
+    do: __MODULE__.apply_event(state, {:finished, id, answer})
 
   defp perform_action({:reply, from, answer}, state) do
     GenServer.reply(from, answer)

@@ -8,12 +8,12 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   #   held      the caller has all snapshots; the sources continue when it says so, or when it has died
   # See docs/adr/0111-checkpoints-pause-the-sources.md.
   alias Situ.{Error, Runtime}
+  alias Situ.Lifecycle.Operations
   alias Situ.Pipeline.{Stages, State}
 
-  @enforce_keys [:ref, :from, :monitor, :deadline, :sources]
+  @enforce_keys [:ref, :monitor, :deadline, :sources]
   defstruct [
     :ref,
-    :from,
     :monitor,
     :deadline,
     :sources,
@@ -24,19 +24,11 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   ]
 
   @type t :: %__MODULE__{}
+  @typep result :: {State.t(), [Situ.Lifecycle.event()]}
 
-  @doc "Begins a checkpoint; the caller receives `{:ok, ref, memories}` or `{:error, error}`."
-  @spec request_checkpoint(State.t(), pos_integer(), GenServer.from()) :: State.t()
-  def request_checkpoint(%{dynamic: %{checkpoint: %__MODULE__{}}} = state, _timeout, from) do
-    GenServer.reply(
-      from,
-      {:error, Error.new(:busy, "a checkpoint of the pipeline is already running")}
-    )
-
-    state
-  end
-
-  def request_checkpoint(state, timeout, {pid, _} = from) do
+  @doc "Begins the checkpoint `op`; `caller` receives `{:ok, op, memories}`, or the operation ends with an error."
+  @spec begin(State.t(), Operations.id(), pos_integer(), pid()) :: result()
+  def begin(state, op, timeout, caller) do
     ids = stage_ids(state)
 
     case Enum.find(ids, &(not state.life.stages[&1].alive?)) do
@@ -44,23 +36,32 @@ defmodule Situ.Pipeline.PendingCheckpoint do
         sources = Enum.filter(ids, &source_stage?(state, &1))
 
         checkpoint = %__MODULE__{
-          ref: make_ref(),
-          from: from,
-          monitor: Process.monitor(pid),
+          ref: op,
+          monitor: Process.monitor(caller),
           deadline: Runtime.monotonic_time() + timeout * 1_000_000,
           sources: sources
         }
 
         # A stage that does not reply must not block the checkpoint forever.
-        Runtime.send_after({:situ_checkpoint, checkpoint.ref}, timeout)
+        Runtime.send_after({:situ_checkpoint, op}, timeout)
         request_snapshots(put_checkpoint(state, checkpoint), :freezing, :freeze, sources)
 
       id ->
-        path = hd(state.stages[id].vertices).path
-        error = Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
-        GenServer.reply(from, {:error, error})
-        state
+        {state, [{:finished, op, {:error, ended_error(state, id)}}]}
     end
+  end
+
+  @doc "Ends the checkpoint with an error when the process of a stage has ended before its state is known."
+  @spec fail_pending(State.t(), pos_integer()) :: result()
+  def fail_pending(%{dynamic: %{checkpoint: %{step: step}, taps: taps}} = state, id)
+      when step != :held and not is_map_key(taps, id),
+      do: fail_checkpoint(state, ended_error(state, id))
+
+  def fail_pending(state, _id), do: {state, []}
+
+  defp ended_error(state, id) do
+    path = hd(state.stages[id].vertices).path
+    Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
   end
 
   defp stage_ids(state), do: Map.keys(state.stages) -- Map.keys(state.dynamic.taps)
@@ -73,8 +74,12 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   end
 
   @doc "Handles a stage's snapshot, or the error that prevented it."
-  @spec handle_snapshot(State.t(), pos_integer(), reference(), {:ok, map()} | {:error, Error.t()}) ::
-          State.t()
+  @spec handle_snapshot(
+          State.t(),
+          pos_integer(),
+          Operations.id(),
+          {:ok, map()} | {:error, Error.t()}
+        ) :: result()
   def handle_snapshot(
         %{dynamic: %{checkpoint: %{ref: ref} = checkpoint}} = state,
         id,
@@ -97,10 +102,11 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   end
 
   # The checkpoint was given up, but the source may still be paused.
-  def handle_snapshot(state, id, ref, _answer), do: Stages.send_request(state, id, {:thaw, ref})
+  def handle_snapshot(state, id, ref, _answer),
+    do: {Stages.send_request(state, id, {:thaw, ref}), []}
 
   @doc "Checks again whether the pipeline has settled, or gives up after the deadline."
-  @spec poll_progress(State.t(), reference()) :: State.t()
+  @spec poll_progress(State.t(), Operations.id()) :: result()
   def poll_progress(%{dynamic: %{checkpoint: %{ref: ref, step: step}}} = state, ref)
       when step != :held,
       do:
@@ -109,19 +115,18 @@ defmodule Situ.Pipeline.PendingCheckpoint do
           else: advance_if_ready(state)
         )
 
-  def poll_progress(state, _ref), do: state
+  def poll_progress(state, _ref), do: {state, []}
 
   @doc "Ends the checkpoint when the caller has finished or died."
-  @spec thaw_sources(State.t(), reference()) :: State.t()
-  def thaw_sources(%{dynamic: %{checkpoint: %{ref: ref}}} = state, ref), do: end_checkpoint(state)
+  @spec thaw_sources(State.t(), Operations.id() | reference()) :: result()
+  def thaw_sources(%{dynamic: %{checkpoint: %{ref: op, monitor: monitor}}} = state, ref)
+      when ref in [op, monitor],
+      do: end_checkpoint(state, :ok)
 
-  def thaw_sources(%{dynamic: %{checkpoint: %{monitor: ref}}} = state, ref),
-    do: end_checkpoint(state)
-
-  def thaw_sources(state, _ref), do: state
+  def thaw_sources(state, _ref), do: {state, []}
 
   defp advance_if_ready(%{dynamic: %{checkpoint: %{pending: pending} = checkpoint}} = state) do
-    if MapSet.size(pending) > 0, do: state, else: advance_step(checkpoint.step, state)
+    if MapSet.size(pending) > 0, do: {state, []}, else: advance_step(checkpoint.step, state)
   end
 
   defp advance_step(:freezing, state), do: advance_step(:settling, put_step(state, :settling))
@@ -135,7 +140,7 @@ defmodule Situ.Pipeline.PendingCheckpoint do
       |> request_snapshots(:asking, :remember, stage_ids(state) -- checkpoint.sources)
     else
       Runtime.send_after({:situ_checkpoint, state.dynamic.checkpoint.ref}, 1)
-      state
+      {state, []}
     end
   end
 
@@ -143,8 +148,9 @@ defmodule Situ.Pipeline.PendingCheckpoint do
     checkpoint = state.dynamic.checkpoint
 
     if Stages.no_messages_in_flight?(state) and Stages.fingerprint(state, :all) == checkpoint.mark do
-      GenServer.reply(checkpoint.from, {:ok, checkpoint.ref, checkpoint.memories})
-      put_step(state, :held)
+      # Other operations continue while the caller uses the checkpoint; another checkpoint waits.
+      answer = {:ok, checkpoint.ref, checkpoint.memories}
+      {put_step(state, :held), [{:answered, checkpoint.ref, answer, [:checkpoint]}]}
     else
       advance_step(:settling, put_step(state, :settling))
     end
@@ -155,16 +161,13 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   defp put_checkpoint(state, checkpoint),
     do: %{state | dynamic: %{state.dynamic | checkpoint: checkpoint}}
 
-  defp fail_checkpoint(state, error) do
-    GenServer.reply(state.dynamic.checkpoint.from, {:error, error})
-    end_checkpoint(state)
-  end
+  defp fail_checkpoint(state, error), do: end_checkpoint(state, {:error, error})
 
-  defp end_checkpoint(%{dynamic: %{checkpoint: checkpoint}} = state) do
+  defp end_checkpoint(%{dynamic: %{checkpoint: checkpoint}} = state, answer) do
     Process.demonitor(checkpoint.monitor, [:flush])
     alive = Enum.filter(checkpoint.sources, &is_map_key(state.stages, &1))
     state = Enum.reduce(alive, state, &Stages.send_request(&2, &1, {:thaw, checkpoint.ref}))
-    put_checkpoint(state, nil)
+    {put_checkpoint(state, nil), [{:finished, checkpoint.ref, answer}]}
   end
 
   defp past_deadline?(state),

@@ -17,11 +17,12 @@ defmodule Situ.Pipeline.Server do
   alias Situ.Lifecycle.Errors
 
   alias Situ.Pipeline.{Dynamic, Handlers, Inspection, LifecycleRunner, PendingCheckpoint}
-  alias Situ.Pipeline.{StageProcesses, Stages, State, Termination}
+  alias Situ.Pipeline.{StageProcesses, Stages, Termination}
 
-  # These requests wait until a starting pipeline is running.
-  @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
-             [:start_part, :checkpoint]
+  # The operations of Lifecycle.Operations. Like some other requests, they wait until a starting pipeline is running.
+  @operations [:extend, :replace, :tap, :stop_part, :start_part, :attach, :detach, :checkpoint] ++
+                [:clock]
+  @patient [:subscription | @operations]
 
   @impl true
   def init(_), do: :ignore
@@ -102,6 +103,9 @@ defmodule Situ.Pipeline.Server do
   defp handle_request(:clock, _from, state), do: {:reply, state.timing.clock, state}
 
   # Serves pipelines inside this pipeline's components.
+  defp handle_request(:timing, _from, %{timing: nil} = state),
+    do: {:reply, {:error, Errors.not_running()}, state}
+
   defp handle_request(:timing, _from, state),
     do: {:reply, Map.take(state.timing, [:clock, :enforce, :replay_end]), state}
 
@@ -117,6 +121,9 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_request({:trace, time}, _from, state),
     do: {:reply, Inspection.trace_message(state, time), state}
+
+  defp handle_request(:changes, _from, state),
+    do: {:reply, Inspection.list_changes(state), state}
 
   defp handle_request(:progress, _from, state) do
     state = Inspection.advance_progress(state)
@@ -155,70 +162,30 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_request(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
 
-  defp handle_running_request({:tap, request}, from, state),
-    do: apply_dynamic(Dynamic.Tap.attach(state, request, from))
-
-  defp handle_running_request({:attach, request}, from, state),
-    do: apply_dynamic(Dynamic.Input.attach(state, request, from))
-
-  defp handle_running_request({:detach, request}, from, state),
-    do: apply_dynamic(Dynamic.Input.detach(state, request, from))
-
   defp handle_running_request(:extension, _from, state) do
     {graph, state} = Dynamic.Extension.reserve_ids(state)
     {:reply, {:ok, {state.handle, graph}}, state}
   end
 
-  defp handle_running_request({:extend, graph}, from, state) do
-    case Dynamic.Extension.add_components(state, graph) do
-      {:ok, state, plan} -> apply_event(state, {:grow, make_ref(), plan, from})
-      {:error, error} -> {:reply, {:error, error}, state}
-    end
-  end
-
-  defp handle_running_request({:replace, request}, from, state),
-    do: {:noreply, Dynamic.Replacement.request_replacement(state, request, from)}
-
-  defp handle_running_request({:checkpoint, timeout}, from, state),
-    do: {:noreply, PendingCheckpoint.request_checkpoint(state, timeout, from)}
-
   defp handle_running_request({:subscription, which}, _from, state),
     do: {:reply, Dynamic.Tap.fetch_subscription(state, which), state}
 
-  defp handle_running_request({:stop_part, path, opts}, from, state) do
-    case stop_part_event(path, opts, from, state) do
-      {:ok, event} -> apply_event(state, event)
-      {:error, error} -> {:reply, {:error, error}, state}
-    end
+  # A process that holds a checkpoint would wait for itself.
+  defp handle_running_request({:checkpoint, _timeout} = request, {pid, _tag} = from, state) do
+    if LifecycleRunner.holds_checkpoint?(state, pid),
+      do: {:reply, {:error, Errors.checkpoint_in_use()}, state},
+      else: accept_operation(request, from, state)
   end
 
-  defp handle_running_request({:start_part, path, how}, from, state) do
-    case State.fetch_stopped_part(state, path) do
-      {:ok, ids} -> apply_event(state, {:start_part, make_ref(), ids, how, from})
-      {:error, error} -> {:reply, {:error, error}, state}
-    end
-  end
-
-  # Without pacing no message waits for the clock, so the clock cannot be controlled.
-  defp handle_running_request({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
-    do: {:reply, {:error, Errors.not_paced()}, state}
-
-  defp handle_running_request({:clock, :pause}, _from, state),
-    do: {:reply, Clock.pause(state.timing.clock), state}
-
-  defp handle_running_request({:clock, :resume}, _from, state),
-    do: {:reply, Clock.resume(state.timing.clock), state}
-
-  defp handle_running_request({:clock, {:set_speed, speed}}, _from, state),
-    do: {:reply, Clock.set_speed(state.timing.clock, speed), state}
+  defp handle_running_request(request, from, state)
+       when is_tuple(request) and elem(request, 0) in @operations,
+       do: accept_operation(request, from, state)
 
   defp handle_running_request(_request, _from, state),
     do: {:reply, {:error, Errors.unknown_request()}, state}
 
-  defp stop_part_event(path, %{forget?: forget?} = how, from, state) do
-    with {:ok, %{ids: ids, forget: forget}} <- State.fetch_part(state, path, forget?),
-         do: {:ok, {:stop_part, make_ref(), ids, Map.merge(how, %{from: from, forget: forget})}}
-  end
+  defp accept_operation(request, from, state),
+    do: state |> LifecycleRunner.accept_operation(request, from) |> Termination.stop_if_finished()
 
   defp defer_message(message, state), do: %{state | early: [message | state.early]}
 
@@ -242,12 +209,8 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_message(:situ_moving, state), do: apply_event(state, :moving)
 
-  defp handle_message({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
-    case stop_part_event(path, opts, nil, state) do
-      {:ok, event} -> apply_event(state, event)
-      _ -> {:noreply, state}
-    end
-  end
+  defp handle_message({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state),
+    do: accept_operation({:stop_part, path, opts}, nil, state)
 
   defp handle_message({:situ_handled, event, result, graph}, state),
     do:
@@ -267,20 +230,17 @@ defmodule Situ.Pipeline.Server do
   defp handle_message(:situ_reloaded, state), do: {:noreply, begin_reload(state)}
 
   defp handle_message({:situ_rebuilt, process, result}, state),
-    do: continue_plan(Dynamic.Reload.finish(state, process, result))
+    do: finish_reload(process, result, state)
 
   defp handle_message({:situ_checkpoint, ref}, state),
-    do: {:noreply, PendingCheckpoint.poll_progress(state, ref)}
+    do: apply_dynamic(PendingCheckpoint.poll_progress(state, ref))
 
   defp handle_message({:situ_thaw, ref}, state),
-    do: {:noreply, PendingCheckpoint.thaw_sources(state, ref)}
-
-  defp handle_message({:situ_late, ref, timeout}, state),
-    do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
+    do: apply_dynamic(PendingCheckpoint.thaw_sources(state, ref))
 
   # A process that renews functions was killed. Normally it has already reported.
   defp handle_message({:EXIT, pid, _reason}, %{code: {_version, pid}} = state),
-    do: continue_plan(Dynamic.Reload.finish(state, pid, :error))
+    do: finish_reload(pid, :error, state)
 
   defp handle_message({:EXIT, pid, reason}, state),
     do: state |> LifecycleRunner.handle_exit(pid, reason) |> Termination.stop_if_finished()
@@ -293,11 +253,11 @@ defmodule Situ.Pipeline.Server do
   defp handle_message({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
     do: apply_event(state, {:stop, Lifecycle.default_catch_up_ms()})
 
-  defp handle_message({:DOWN, ref, :process, _, _}, state),
-    do:
-      apply_dynamic(
-        Dynamic.Tap.handle_owner_down(PendingCheckpoint.thaw_sources(state, ref), ref)
-      )
+  defp handle_message({:DOWN, ref, :process, _, _}, state) do
+    {state, events} = PendingCheckpoint.thaw_sources(state, ref)
+    {state, more} = Dynamic.Tap.handle_owner_down(state, ref)
+    apply_dynamic({state, events ++ more})
+  end
 
   defp handle_message(_other, state), do: {:noreply, state}
 
@@ -336,7 +296,7 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Inspection.put_description(state, id, text)}
 
   defp handle_stage_message({:tapped, tag}, _id, state),
-    do: {:noreply, Dynamic.Tap.confirm_attached(state, tag)}
+    do: apply_dynamic(Dynamic.Tap.confirm_attached(state, tag))
 
   defp handle_stage_message({:lent, tag, how}, _id, %{dynamic: %{inputs: inputs}} = state)
        when is_map_key(inputs, tag),
@@ -355,15 +315,16 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Stages.put_stopped_snapshot(state, id, moment, result)}
 
   defp handle_stage_message({:remembered, ref, answer}, id, state),
-    do: {:noreply, PendingCheckpoint.handle_snapshot(state, id, ref, answer)}
+    do: apply_dynamic(PendingCheckpoint.handle_snapshot(state, id, ref, answer))
 
   defp handle_stage_message({:replaced, ref, answer}, id, state),
-    do: {:noreply, Dynamic.Replacement.handle_reply(state, id, ref, answer)}
+    do: apply_dynamic(Dynamic.Replacement.handle_reply(state, id, ref, answer))
 
   defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
   defp handle_stage_message({:relocating, stage}, id, state),
-    do: {:noreply, StageProcesses.relocate_stage(state, id, stage)}
+    do:
+      {:noreply, state |> StageProcesses.relocate_stage(id, stage) |> Stages.introduce_moved(id)}
 
   defp handle_stage_message(:ended, id, state),
     do: state |> LifecycleRunner.handle_stage_end(id) |> Termination.stop_if_finished()
@@ -374,6 +335,12 @@ defmodule Situ.Pipeline.Server do
        do: Dynamic.Reload.begin(state)
 
   defp begin_reload(state), do: state
+
+  defp finish_reload(process, result, state) do
+    {state, requests} = Dynamic.Reload.finish(state, process, result)
+    accept = &LifecycleRunner.accept_operation(&2, {:replace, &1}, {process, :renewed})
+    requests |> Enum.reduce(state, accept) |> continue_plan()
+  end
 
   # The plan waits for new functions.
   defp continue_plan(%{life: %{step: :handlers}, code: {_version, nil}} = state),

@@ -235,13 +235,26 @@ defmodule Situ.Pipeline.Stages do
 
     for {tag, link} <- links, link.from != link.to do
       other = if link.from == id, do: link.to, else: link.from
-      send_request(state, other, {:peer, tag, pid, state.life.links.closing[tag]})
+      closing = if link.to == id, do: state.life.links.closing[tag]
+      send_request(state, other, {:peer, tag, pid, closing})
       # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
       if link.from == id and asks?, do: send_request(state, other, {:ask, tag})
     end
 
     state
+  end
+
+  @doc """
+  Introduces a stage that has moved to its own process to producers that are just restarting: they may have been
+  connected with the shared process, but will introduce themselves to the new one.
+  """
+  @spec introduce_moved(State.t(), pos_integer()) :: State.t()
+  def introduce_moved(%{life: life} = state, id) do
+    for {tag, %{from: from}} <- Links.list_incoming(life.links, id),
+        life.stages[from].again?,
+        reduce: state,
+        do: (state -> send_request(state, from, {:peer, tag, state.stages[id].pid, nil}))
   end
 
   @doc """

@@ -12,7 +12,7 @@ defmodule Situ.Pipeline.State do
   #   code      the version of the pipeline's module, and the process that renews its functions: Dynamic.Reload
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
-  alias Situ.Lifecycle.{Errors, Addition}
+  alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.{Dynamic, Inspection, Settings}
 
   @enforce_keys [:settings, :life, :view]
@@ -183,9 +183,6 @@ defmodule Situ.Pipeline.State do
       chosen == [] ->
         {:error, ended_error(path)}
 
-      Enum.any?(inside, &Addition.adding?(state.life, &1.id)) ->
-        {:error, still_added_error(path)}
-
       stage = Enum.find(chosen, &shared_with_outside?(&1, path)) ->
         {:error, shared_process_error(stage, path)}
 
@@ -196,6 +193,11 @@ defmodule Situ.Pipeline.State do
         {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
     end
   end
+
+  @doc "Returns the ids of the stages below `path`."
+  @spec list_inside(t(), String.t()) :: [pos_integer()]
+  def list_inside(state, path),
+    do: for({id, stage} <- state.stages, stage_in_part?(stage, path, state.graph), do: id)
 
   @doc "Returns the stages below `path`, all of which have ended or are being stopped."
   @spec fetch_stopped_part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
@@ -248,12 +250,6 @@ defmodule Situ.Pipeline.State do
   defp part_running_error(path) do
     Error.new(:still_running, "#{path} cannot be started because a part of it is running",
       fix: "stop all of it first, with Situ.Pipeline.stop_part/3"
-    )
-  end
-
-  defp still_added_error(path) do
-    Error.new(:not_running, "#{path} is still being added or started",
-      fix: "wait until Situ.Pipeline.extend/2 or Situ.Pipeline.start_part/3 has returned"
     )
   end
 

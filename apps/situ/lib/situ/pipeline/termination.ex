@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Termination do
   # Ends the process of a pipeline: publishes the result, replies to the callers that are waiting, and chooses the exit
   # reason. The functions return values for the callbacks of `Situ.Pipeline.Server`.
   alias Situ.Application.{Directory, PipelineResults}
-  alias Situ.Lifecycle.Errors
+  alias Situ.Lifecycle.{Errors, Operations}
   alias Situ.Pipeline.{Dynamic, Handlers, State}
 
   @type stop :: {:stop, term(), State.t()}
@@ -32,10 +32,10 @@ defmodule Situ.Pipeline.Termination do
     Directory.unregister_pipeline(state.settings)
     publish_result(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
-    for {_, %{from: from}} when from != nil <- state.life.parts, do: GenServer.reply(from, :ok)
-    Dynamic.cancel_requests(state.dynamic, {:error, Errors.not_running()})
+    Enum.each(state.life.operations.open, &reply_to_caller/1)
     Handlers.stop_process(state.handlers)
-    state = %{state | waiters: [], dynamic: %Dynamic{}, life: %{state.life | parts: %{}}}
+    life = %{state.life | parts: %{}, operations: %Operations{}}
+    state = %{state | waiters: [], dynamic: %Dynamic{}, life: life}
 
     case {result, state.settings.mode} do
       {{:error, %{code: :abandoned}}, _} -> {:stop, {:shutdown, :abandoned}, state}
@@ -44,6 +44,15 @@ defmodule Situ.Pipeline.Termination do
       _ -> {:stop, :normal, state}
     end
   end
+
+  defp reply_to_caller({_id, %{from: nil}}), do: :ok
+
+  # The part has ended with the pipeline.
+  defp reply_to_caller({_id, %{what: {kind, _}, from: from}}) when kind in [:stop_part, :remove],
+    do: GenServer.reply(from, :ok)
+
+  defp reply_to_caller({_id, %{from: from}}),
+    do: GenServer.reply(from, {:error, Errors.not_running()})
 
   # Only a linked pipeline exits abnormally, so that its supervisor restarts it. `run/2` and
   # `start/2` return the error instead, and a late `await/2` finds it among the kept results. The

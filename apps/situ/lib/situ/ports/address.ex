@@ -43,9 +43,17 @@ defmodule Situ.Ports.Address do
 
   def request_refresh({:relay, pid}, tag), do: send(pid, {:situ_relay, tag, :refresh})
 
+  @doc "Acknowledges the end of the subscription `tag` to a producer: the consumer needs nothing again."
+  @spec acknowledge_end(t(), term()) :: term()
+  def acknowledge_end(pid, tag) when is_pid(pid), do: send(pid, {:situ, {:untap, tag}})
+
+  def acknowledge_end({:local, id, _consumer}, tag), do: push_local(id, {:situ, {:untap, tag}})
+  def acknowledge_end({:relay, pid}, tag), do: send(pid, {:situ_relay, tag, :acknowledge_end})
+
   @doc "Forwards a request of a stage that has left this process to the producer `pid`."
   @spec relay_request(pid(), term(), term()) :: term()
   def relay_request(pid, tag, :refresh), do: request_refresh(pid, tag)
+  def relay_request(pid, tag, :acknowledge_end), do: acknowledge_end(pid, tag)
   def relay_request(pid, tag, request), do: send_to_producer(pid, tag, request)
 
   @doc "Adds a message for a stage of the calling process."

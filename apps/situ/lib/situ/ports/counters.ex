@@ -91,6 +91,13 @@ defmodule Situ.Ports.Counters do
     {handed, :atomics.get(ref, @handed_time)}
   end
 
+  @doc "Forgets messages that a dead process had emitted to another of its steps, which had not handled them."
+  @spec forget_unhandled(t()) :: :ok
+  def forget_unhandled(ref) do
+    {_emitted, processed, dropped} = flow_counts(ref)
+    :atomics.put(ref, @emitted, processed + dropped)
+  end
+
   @doc "Returns how many messages are held back at the producer."
   @spec held_count(t()) :: non_neg_integer()
   def held_count(ref), do: :atomics.get(ref, @held)

@@ -27,7 +27,7 @@ defmodule Situ.Ports.Input do
     :lossy,
     :held,
     check: :off,
-    sizes: false,
+    arrival: {false, nil},
     front: [],
     rear: [],
     handled: @nothing
@@ -37,8 +37,9 @@ defmodule Situ.Ports.Input do
   @typedoc """
   `front` and `rear` (reversed) hold what waits under a lossless policy; `lossy` holds the queue of a lossy policy with
   the time at which its messages were known to be the newest, or `:asked`, or `:sure` for the next take. `held` is a
-  timer and token while the component pauses the input. `handled` holds the number of messages handled since the last
-  publication, and the latency and originating time of the last one.
+  timer and token while the component pauses the input. `arrival` holds whether the sizes of arriving data are counted,
+  and, after a restart of the producer, the time up to which messages have arrived before. `handled` holds the number of
+  messages handled since the last publication, and the latency and originating time of the last one.
   """
   @type t :: %__MODULE__{
           name: atom(),
@@ -49,7 +50,7 @@ defmodule Situ.Ports.Input do
           lossy: {Queue.t(), integer() | :asked | :sure} | nil,
           held: {reference(), reference()} | nil,
           check: :off | {:first | :all, Type.t()},
-          sizes: boolean(),
+          arrival: {sizes? :: boolean(), arrived :: Situ.Time.t() | nil},
           front: [entry()],
           rear: [entry()],
           handled: {non_neg_integer(), integer(), Situ.Time.t()}
@@ -64,7 +65,7 @@ defmodule Situ.Ports.Input do
       producer: producer,
       window: build_window(producer, policy),
       counters: opts.counters,
-      sizes: opts.sizes,
+      arrival: {opts.sizes, nil},
       check:
         if(:off in [opts.check] or opts.type == :any, do: :off, else: {opts.check, opts.type}),
       lossy: if(Delivery.lossy?(policy), do: {Queue.new(policy), 0})
@@ -87,11 +88,28 @@ defmodule Situ.Ports.Input do
   defp ask(input, n), do: Address.send_to_producer(input.producer, input.tag, {:ask, n})
 
   @doc "Replaces the producer's process."
-  @spec replace_producer(t(), pid()) :: t()
+  @spec replace_producer(t(), Address.t()) :: t()
   def replace_producer(%__MODULE__{lossy: lossy} = input, pid) do
     lossy = with {queue, _fresh} <- lossy, do: {queue, 0}
-    %{input | producer: pid, window: DemandWindow.reset_owed(input.window), lossy: lossy}
+    {sizes?, _arrived} = input.arrival
+    arrival = {sizes?, if(lossy == nil, do: last_time(input))}
+    window = DemandWindow.reset_owed(input.window)
+    %{input | producer: pid, window: window, lossy: lossy, arrival: arrival}
   end
+
+  # A producer may be killed after it has sent messages, and before it has counted them.
+  defp last_time(%{front: front, rear: rear, handled: {n, _latency, time}} = input) do
+    waiting = Enum.find(rear, &batch?/1) || List.last(Enum.filter(front, &batch?/1))
+
+    cond do
+      waiting != nil -> Batch.last_time(waiting)
+      n > 0 -> time
+      taken_count(input) > 0 -> Counters.last_time(input.counters)
+      true -> nil
+    end
+  end
+
+  defp batch?(entry), do: not match?({:closed, _time}, entry)
 
   @doc "Adds batches that arrived, and the closing mark of a producer in the same process."
   @spec push(t(), [entry()]) :: t()
@@ -100,8 +118,15 @@ defmodule Situ.Ports.Input do
   def push(%__MODULE__{} = input, [{:closed, time} | rest]),
     do: input |> push_closed(time) |> push(rest)
 
-  def push(%__MODULE__{} = input, [batch | rest]) do
-    if input.sizes, do: Counters.count_sizes(input.counters, Batch.data(batch))
+  def push(%__MODULE__{arrival: {sizes?, until}} = input, [batch | rest]) when until != nil do
+    case Batch.split_after(batch, until) do
+      {_arrived, nil} -> push(input, rest)
+      {_arrived, batch} -> push(%{input | arrival: {sizes?, nil}}, [batch | rest])
+    end
+  end
+
+  def push(%__MODULE__{arrival: {sizes?, nil}} = input, [batch | rest]) do
+    if sizes?, do: Counters.count_sizes(input.counters, Batch.data(batch))
     window = DemandWindow.weigh_data(input.window, Batch.first_data(batch))
     push(enter(%{input | window: window}, batch), rest)
   end
@@ -263,6 +288,13 @@ defmodule Situ.Ports.Input do
     {asked, window} = DemandWindow.take_owed(window)
     if asked > 0, do: ask(input, asked)
     %{input | handled: @nothing, window: window}
+  end
+
+  @doc "Publishes the last counts of an input that has closed, and acknowledges its end to the producer."
+  @spec acknowledge_end(t(), integer()) :: term()
+  def acknowledge_end(%__MODULE__{producer: producer, tag: tag} = input, each) do
+    publish_counts(input, each)
+    if producer, do: Address.acknowledge_end(producer, tag)
   end
 
   @doc "Returns how many messages were taken according to the counters."

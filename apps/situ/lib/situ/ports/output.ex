@@ -120,11 +120,18 @@ defmodule Situ.Ports.Output do
   end
 
   defp record_sent(%{port: %{mark: nil}} = output), do: output
-  # The messages still have to pass through another step of the stage.
-  defp record_sent(%{subs: [%{demand: :local} | _]} = output), do: output
-  defp record_sent(output), do: record_progress(output)
 
-  @doc "Records that everything posted has left the stage, if nothing waits for the demand of a subscriber."
+  defp record_sent(output) do
+    # Messages for a local subscriber still have to pass through another step of the stage.
+    if Enum.any?(output.subs, &(&1.demand == :local)),
+      do: output,
+      else: record_progress(output)
+  end
+
+  @doc """
+  Records that a process that replaces this one continues after the last posted message, if nothing waits for the demand
+  of a subscriber. Everything that another step of the stage makes of the messages must have been sent.
+  """
   @spec record_progress(t()) :: t()
   def record_progress(%__MODULE__{port: %{mark: nil}} = output), do: output
 
@@ -337,21 +344,6 @@ defmodule Situ.Ports.Output do
     end
   end
 
-  @doc "Returns whether every subscriber has received all its messages and the closing mark."
-  @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{subs: subs}), do: Enum.all?(subs, & &1.closed)
-
-  @doc "Replaces the process of the consumer with this tag. A closing mark is sent again, after its messages."
-  @spec replace_consumer(t(), term(), pid()) :: t()
-  def replace_consumer(%__MODULE__{} = output, tag, pid) do
-    output = map_tagged(output, tag, &Subscriber.replace_consumer(&1, pid))
-
-    case output.ending do
-      {:closed, time} when output.subs != [] -> finish(%{output | ending: {:closing, time}})
-      _open_or_closing -> finish(output)
-    end
-  end
-
   @doc "Updates every subscriber with this tag."
   @spec map_tagged(t(), term(), (Subscriber.t() -> Subscriber.t())) :: t()
   def map_tagged(%__MODULE__{subs: subs} = output, tag, fun),
@@ -399,6 +391,24 @@ defmodule Situ.Ports.Output do
   def cancel_subscribers(%__MODULE__{} = output, which?),
     do: finish(%{output | subs: Enum.reject(output.subs, which?)})
 
+  @doc "Sends the subscriber with this tag all its waiting messages, regardless of demand, and the closing mark."
+  @spec cut_subscriber(t(), term(), Situ.Time.t()) :: t()
+  def cut_subscriber(%__MODULE__{subs: subs} = output, tag, time) do
+    cut = fn
+      %{tag: ^tag} = sub ->
+        sub |> Subscriber.add_demand(:infinity) |> Subscriber.close_drained(time)
+
+      sub ->
+        [sub]
+    end
+
+    finish(%{output | subs: Enum.flat_map(subs, cut)})
+  end
+
+  @doc "Returns whether every subscriber has received all its messages and the closing mark."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{subs: subs}), do: Enum.all?(subs, &Subscriber.closed?/1)
+
   @doc "Returns how many messages wait for demand."
   @spec buffered_count(t()) :: non_neg_integer()
   def buffered_count(%__MODULE__{} = output),
@@ -408,10 +418,7 @@ defmodule Situ.Ports.Output do
 
   # Sends the closing mark to the subscribers that have received all their messages.
   defp send_closing(%{ending: {:closing, time}, pending: [], future: @nothing} = output) do
-    close =
-      &if(&1.size == 0 and not &1.closed, do: Subscriber.close_consumer(&1, time), else: [&1])
-
-    output = %{output | subs: Enum.flat_map(output.subs, close)}
+    output = %{output | subs: Enum.flat_map(output.subs, &Subscriber.close_drained(&1, time))}
     if drained?(output), do: %{output | ending: {:closed, time}}, else: output
   end
 

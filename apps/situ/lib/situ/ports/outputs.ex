@@ -207,11 +207,6 @@ defmodule Situ.Ports.Outputs do
   def map_tagged(%__MODULE__{} = outputs, tag, fun),
     do: map_outputs(outputs, &Output.map_tagged(&1, tag, fun))
 
-  @doc "Replaces the process of the consumer with this tag."
-  @spec replace_consumer(t(), term(), pid()) :: t()
-  def replace_consumer(%__MODULE__{} = outputs, tag, pid),
-    do: map_outputs(outputs, &Output.replace_consumer(&1, tag, pid))
-
   @doc "Returns whether no message waits for the demand of a subscriber that must receive all."
   @spec all_sent?(t()) :: boolean()
   def all_sent?(%__MODULE__{own: own, dispatcher: dispatcher}) do
@@ -277,12 +272,8 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Sends one subscriber all its waiting messages, regardless of demand, and the closing mark."
   @spec cut_subscriber(t(), term(), Situ.Time.t()) :: t()
-  def cut_subscriber(%__MODULE__{} = outputs, tag, time) do
-    for %{tag: ^tag} = sub <- list_subscribers(outputs),
-        do: sub |> Subscriber.add_demand(:infinity) |> Subscriber.send_close(time)
-
-    remove_subscribers(outputs, &(&1.tag == tag))
-  end
+  def cut_subscriber(%__MODULE__{} = outputs, tag, time),
+    do: map_outputs(outputs, &Output.cut_subscriber(&1, tag, time))
 
   @doc "Returns a value that changes when a message is emitted."
   @spec progress_mark(t()) :: term()

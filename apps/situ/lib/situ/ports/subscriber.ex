@@ -10,6 +10,10 @@ defmodule Situ.Ports.Subscriber do
   # If the policy redelivers, `unacked` holds the messages that were sent but not handled yet, according to the
   # consumer's counters. A process that replaces a dead consumer receives them again. Conversely, a process that
   # replaces a dead producer skips messages up to the last one that was sent (`resume`).
+  #
+  # After the closing mark, the subscriber of another stage remains until the consumer acknowledges the end of its input
+  # (`Address.acknowledge_end/2`). A process that replaces the consumer until then receives the messages that were not
+  # handled, and the mark again.
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.{Batch, Queue}
@@ -30,14 +34,13 @@ defmodule Situ.Ports.Subscriber do
     buffer: [],
     rear: [],
     size: 0,
-    waiting: false,
-    closed: false
+    waiting: false
   ]
 
   @typedoc """
   `buffer` and `rear` (reversed) hold batches that wait for demand, `queue` the same under a lossy policy. `unacked` is
-  the number of messages that the consumer is known to have handled, and the batches after them. `closed` is true when
-  the consumer's process has been sent the closing mark.
+  the number of messages that the consumer is known to have handled, and the batches after them. After the closing mark,
+  `demand` holds its time.
   """
   @type t :: %__MODULE__{
           tag: term(),
@@ -47,12 +50,11 @@ defmodule Situ.Ports.Subscriber do
           queue: Queue.t() | nil,
           unacked: {non_neg_integer(), :queue.queue(Batch.t())} | nil,
           resume: Situ.Time.t() | nil,
-          demand: integer() | :infinity | :local,
+          demand: integer() | :infinity | :local | {:closed, Situ.Time.t()},
           buffer: [Batch.t()],
           rear: [Batch.t()],
           size: non_neg_integer(),
-          waiting: boolean(),
-          closed: boolean()
+          waiting: boolean()
         }
 
   @doc "Builds a subscriber without demand."
@@ -76,14 +78,24 @@ defmodule Situ.Ports.Subscriber do
   def new_local(tag, address, counters), do: %{new(tag, address, counters) | demand: :local}
 
   @doc "Replaces the consumer's process; the new process has no demand."
-  @spec replace_consumer(t(), pid()) :: t()
+  @spec replace_consumer(t(), Address.t()) :: t()
   # A producer that was restarted at the same time has known this process from the start.
-  def replace_consumer(%__MODULE__{pid: pid, closed: false} = sub, pid), do: sub
+  # It may have missed the mark, which is sent regardless of demand, while it was starting.
+  def replace_consumer(%__MODULE__{pid: pid} = sub, pid) do
+    with {:closed, time} <- sub.demand, do: send_close(sub, time)
+    sub
+  end
+
+  def replace_consumer(%__MODULE__{demand: {:closed, time}} = sub, pid) do
+    sub = replace_consumer(%{sub | demand: 0}, pid)
+    [sub] = sub |> add_demand(:infinity) |> close_drained(time)
+    sub
+  end
 
   def replace_consumer(%__MODULE__{unacked: nil} = sub, pid) do
     {emitted, processed, dropped} = Counters.flow_counts(sub.counters)
     count_dropped(sub, max(emitted - sub.size - processed - dropped, 0))
-    %{sub | pid: pid, demand: 0, closed: false}
+    %{sub | pid: pid, demand: 0}
   end
 
   def replace_consumer(%__MODULE__{} = sub, pid) do
@@ -92,7 +104,7 @@ defmodule Situ.Ports.Subscriber do
     n = batches |> Enum.map(&Batch.size/1) |> Enum.sum()
     Counters.count_handed(sub.counters, -n, 0)
     sub = %{sub | unacked: {handled, :queue.new()}, buffer: batches ++ sub.buffer}
-    %{sub | pid: pid, demand: 0, size: sub.size + n, closed: false}
+    %{sub | pid: pid, demand: 0, size: sub.size + n}
   end
 
   @doc "Continues after the messages that a dead producer had sent to the consumer."
@@ -132,19 +144,28 @@ defmodule Situ.Ports.Subscriber do
     end
   end
 
+  @doc """
+  Sends the closing mark, unless messages wait for demand. Returns the subscriber if it remains: until its messages are
+  sent, or until another stage has acknowledged the mark.
+  """
+  @spec close_drained(t(), Situ.Time.t()) :: [t()]
+  def close_drained(%__MODULE__{size: size} = sub, _time) when size > 0, do: [sub]
+  def close_drained(%__MODULE__{demand: {:closed, _time}} = sub, _again), do: [sub]
+
+  def close_drained(%__MODULE__{} = sub, time) do
+    send_close(sub, time)
+
+    if sub.counters == nil or sub.demand == :local,
+      do: [],
+      else: [%{sub | demand: {:closed, time}}]
+  end
+
+  @spec closed?(t()) :: boolean()
+  def closed?(%__MODULE__{demand: demand}), do: is_tuple(demand)
+
   @doc "Sends the closing mark, after the last message."
   @spec send_close(t(), Situ.Time.t()) :: term()
   def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
-
-  @doc """
-  Sends the closing mark, and returns the subscriber if its process may be replaced: the new process needs the mark
-  again, after the messages that the old one had not handled.
-  """
-  @spec close_consumer(t(), Situ.Time.t()) :: [t()]
-  def close_consumer(%__MODULE__{} = sub, time) do
-    send_close(sub, time)
-    if sub.counters == nil or sub.demand == :local, do: [], else: [%{sub | closed: true}]
-  end
 
   @doc "Sends the end of the subscription."
   @spec send_cancel(t(), term()) :: term()
@@ -163,7 +184,7 @@ defmodule Situ.Ports.Subscriber do
           Situ.Time.t()
         ) ::
           t()
-  def deliver_batches(%{closed: true} = sub, _batches, _n, _latency, _now), do: sub
+  def deliver_batches(%{demand: {:closed, _time}} = sub, _batches, _n, _latency, _now), do: sub
 
   def deliver_batches(%{resume: until} = sub, batches, _n, latency, now) when until != nil do
     case Enum.flat_map(batches, &batches_after(&1, until)) do
@@ -221,6 +242,8 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Adds demand."
   @spec add_demand(t(), pos_integer() | :infinity) :: t()
+  def add_demand(%__MODULE__{demand: {:closed, _time}} = sub, _n), do: forget_handled(sub)
+
   def add_demand(%__MODULE__{demand: demand} = sub, n) do
     demand = if :infinity in [demand, n], do: :infinity, else: demand + n
     send_waiting(forget_handled(%{sub | demand: demand}))
@@ -250,7 +273,7 @@ defmodule Situ.Ports.Subscriber do
 
   @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
   @spec free_capacity(t()) :: integer() | :infinity
-  def free_capacity(%{demand: demand}) when demand in [:infinity, :local], do: :infinity
+  def free_capacity(%{demand: demand}) when not is_integer(demand), do: :infinity
   def free_capacity(%{queue: %{policy: %{throttle: false}}}), do: :infinity
   def free_capacity(%{size: 0, demand: demand}), do: demand
   def free_capacity(%{size: size}), do: -size

@@ -84,6 +84,9 @@ defmodule Situ.Stage.Departure do
       {:situ, {:attach, _request, _last, %{tag: tag}}} ->
         forward_message(put_in(process.consumers[tag], id), id, message)
 
+      {:situ, {:peer, tag, pid, closing}} when :erlang.map_get(tag, process.consumers) == id ->
+        forward_peer(process, id, {tag, pid, closing})
+
       {:"$gen_producer", {_address, tag} = from, request} ->
         from = if is_map_key(process.relays, {:consumer, tag}), do: {self(), tag}, else: from
         forward_message(process, id, {:"$gen_producer", from, request})
@@ -94,6 +97,12 @@ defmodule Situ.Stage.Departure do
   end
 
   def forward(process, _has_ended, _message), do: process
+
+  # The new process of a producer knows the stage in this process.
+  defp forward_peer(process, id, {tag, pid, closing}) do
+    process = put_in(process.relays[{:producer, tag}], pid)
+    forward_message(process, id, {:situ, {:peer, tag, {:relay, self()}, closing}})
+  end
 
   defp forward_message(%{leaving: leaving} = process, id, message) do
     case leaving do

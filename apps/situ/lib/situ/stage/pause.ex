@@ -22,7 +22,7 @@ defmodule Situ.Stage.Pause do
   Returns when `{:thaw, ref}` arrives. `change` performs a request and returns the state and the component's actions.
   The collected actions are returned with the final state.
   """
-  @spec wait_for_thaw(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
+  @spec wait_for_thaw(State.t(), term(), (term(), State.t() -> {State.t(), [term()]})) ::
           {State.t(), [term()]}
   def wait_for_thaw(%{scheduled: scheduled?} = state, ref, change) do
     # A time slice only sends pending messages while another one is due.

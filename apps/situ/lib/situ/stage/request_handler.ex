@@ -4,7 +4,7 @@ defmodule Situ.Stage.RequestHandler do
   # it is running.
   alias Situ.{Clock, Error}
   alias Situ.Component.Callback
-  alias Situ.Ports.{Input, Inputs, Output, Outputs, PostingRules, Subscriber}
+  alias Situ.Ports.{Address, Input, Inputs, Output, Outputs, PostingRules, Subscriber}
 
   alias Situ.Stage.{
     ActionRunner,
@@ -198,11 +198,16 @@ defmodule Situ.Stage.RequestHandler do
 
   def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_over()
 
-  # A stream that was cut off for the neighbour, at the closing time, has no subscriber any more.
+  # A neighbour was restarted, but the connection has ended here: a consumer needs only the closing mark, and a producer
+  # must not wait for demand.
   def handle_request({:peer, tag, pid, closing}, state) do
-    if closing != nil and State.find_input(state, tag) == nil and
-         not Enum.any?(State.list_subscribers(state), &(&1.tag == tag)),
-       do: Subscriber.send_close(Subscriber.new(tag, pid, nil), closing)
+    known? = State.find_input(state, tag) || State.find_subscriber(state, tag)
+
+    cond do
+      known? || elem(state.steps, 0).phase == :starting -> :ok
+      closing -> Subscriber.send_close(Subscriber.new(tag, pid, nil), closing)
+      true -> Address.acknowledge_end(pid, tag)
+    end
 
     {:noreply, State.replace_neighbour(state, tag, pid)}
   end
@@ -236,7 +241,7 @@ defmodule Situ.Stage.RequestHandler do
   end
 
   @doc "Sends everything that waits in the stage and reports its state for the checkpoint `ref`."
-  @spec prepare_pause(State.t(), reference()) :: State.t()
+  @spec prepare_pause(State.t(), term()) :: State.t()
   def prepare_pause(state, ref) do
     state = state |> release_withheld() |> Loop.run_waiting()
     report(state, {:remembered, ref, Checkpoint.take_snapshot(state)})

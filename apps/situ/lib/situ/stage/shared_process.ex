@@ -40,7 +40,7 @@ defmodule Situ.Stage.SharedProcess do
           members: %{pos_integer() => State.t()},
           consumers: %{term() => pos_integer()},
           producers: %{term() => pos_integer()},
-          paused: %{pos_integer() => {reference(), boolean(), [term()], [term()]}},
+          paused: %{pos_integer() => {term(), boolean(), [term()], [term()]}},
           leaving: %{pos_integer() => {:kept, [term()]} | {:moved, pid()}},
           relays: %{({:producer, term()} | {:consumer, term()}) => pid()},
           ready: [pos_integer()],
@@ -92,6 +92,8 @@ defmodule Situ.Stage.SharedProcess do
 
   def handle_info({:situ, {:refresh, {_pid, tag}}} = message, process),
     do: run_producer(process, tag, message)
+
+  def handle_info({:situ, {:untap, tag}} = entry, process), do: run_producer(process, tag, entry)
 
   def handle_info({:"$gen_consumer", {_pid, tag}, _entry} = message, process),
     do: run_consumer(process, tag, message)

@@ -4,7 +4,7 @@ defmodule Situ.Stage.State do
   # Messages between two steps go from the output of one to the input of the other without a queue between processes.
   alias Situ.{Delivery, Error, Runtime}
   alias Situ.Graph.Vertex
-  alias Situ.Ports.{Input, Output, Outputs, Subscriber}
+  alias Situ.Ports.{Address, Counters, Input, Output, Outputs, Subscriber}
   alias Situ.Stage.{ErrorPolicy, Load, Step}
 
   @enforce_keys [:host, :steps]
@@ -74,6 +74,7 @@ defmodule Situ.Stage.State do
     opts = %{type: :any, check: :off, counters: args.tail_counters, sizes: args.sizes}
     tag = {:step, args.id}
     address = if state.host.shared?, do: {:local, args.id}, else: self()
+    Counters.forget_unhandled(args.tail_counters)
     sub = Subscriber.new_local(tag, address, args.tail_counters)
     first = Step.map_outputs(first, &Output.subscribe(&1, sub))
     second = Step.put_input(second, Input.new(:in, tag, nil, policy, opts))
@@ -156,6 +157,9 @@ defmodule Situ.Stage.State do
   @spec list_subscribers(t()) :: [Subscriber.t()]
   def list_subscribers(%__MODULE__{} = state),
     do: for(step <- list_steps(state), sub <- Outputs.list_subscribers(step.outputs), do: sub)
+
+  @spec find_subscriber(t(), term()) :: Subscriber.t() | nil
+  def find_subscriber(state, tag), do: Enum.find(list_subscribers(state), &(&1.tag == tag))
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
@@ -247,7 +251,7 @@ defmodule Situ.Stage.State do
   defp local_waiting?(_from_another_process), do: false
 
   @doc "Replaces the pid of a restarted neighbour."
-  @spec replace_neighbour(t(), term(), pid()) :: t()
+  @spec replace_neighbour(t(), term(), Address.t()) :: t()
   def replace_neighbour(%__MODULE__{} = state, tag, pid) do
     state =
       case find_input(state, tag) do
@@ -255,7 +259,10 @@ defmodule Situ.Stage.State do
         {i, input} -> put_input(state, i, Input.replace_producer(input, pid))
       end
 
-    map_outputs(state, &Outputs.replace_consumer(&1, tag, pid))
+    map_outputs(
+      state,
+      &Outputs.map_tagged(&1, tag, fn sub -> Subscriber.replace_consumer(sub, pid) end)
+    )
   end
 
   @spec put_input(t(), non_neg_integer(), Input.t()) :: t()

@@ -182,9 +182,10 @@ defmodule Situ.Stage.StepRunner do
   # The pipeline's server closes the outputs once all inputs of the stage have closed. A step that gets its messages
   # from this process closes its outputs with its input.
   defp close_input(step, %{name: name, tag: tag, producer: producer}, time) do
-    step = step |> send_pending(true) |> publish_counts()
+    %{work: work} = step = send_pending(step, false)
+    ended = [Map.fetch!(step.inputs.by_tag, tag) | work.ended]
     {known?, inputs} = Inputs.close_input(step.inputs, name, tag)
-    step = %{step | inputs: inputs}
+    step = %{step | inputs: inputs, work: %{work | ended: ended}}
 
     step =
       if not known? and step.phase != :failed and is_struct(step.worker, Callback),
@@ -229,6 +230,11 @@ defmodule Situ.Stage.StepRunner do
       true ->
         step
     end
+  end
+
+  defp publish_counts(%{work: %{ended: [_ | _] = ended, spent: {n, ns}} = work} = step) do
+    Enum.each(ended, &Input.acknowledge_end(&1, div(ns, max(n, 1))))
+    publish_counts(%{step | work: %{work | ended: []}})
   end
 
   defp publish_counts(%{work: %{spent: spent} = work} = step) do

@@ -10,6 +10,7 @@ defmodule Situ.Stage.Work do
             continue: :none,
             lingers: false,
             closings: [],
+            ended: [],
             singly: 0,
             looked: nil,
             spent: {0, 0},
@@ -20,7 +21,8 @@ defmodule Situ.Stage.Work do
   @typedoc """
   `slice` is how many messages are taken together. With `continue: {:some, term}`, the component continues with this
   term before it takes other messages. `closings` lists inputs that have closed since the last report; `lingers` is true
-  if the component still has output left although they have. `singly` is the number of messages of a failed batch that
+  if the component still has output left although they have. `ended` lists the closed inputs whose end has yet to be
+  acknowledged to their producers. `singly` is the number of messages of a failed batch that
   are still to be handled one by one. `looked` is how many messages had been taken at the server's last check for
   progress. `spent` is the number of messages handled since the counts were published, and the ns that they took.
   `time` is the monotonic time (ns) at which that was last counted. `shortest` is the shortest time (ns) per message.
@@ -31,6 +33,7 @@ defmodule Situ.Stage.Work do
           continue: :none | {:some, term()},
           lingers: boolean(),
           closings: [term()],
+          ended: [Situ.Ports.Input.t()],
           singly: non_neg_integer(),
           looked: non_neg_integer() | nil,
           spent: {non_neg_integer(), integer()},

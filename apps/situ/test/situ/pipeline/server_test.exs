@@ -25,6 +25,12 @@ defmodule Situ.Pipeline.ServerTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
+    test "a pipeline that does not run has no timing" do
+      p = Pipeline.new()
+      assert {:error, %{code: :not_running}} = GenServer.call(p.pid, :timing)
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+
     test "a pipeline replies to supervisor calls" do
       {:ok, p} =
         Pipeline.start(fn p ->

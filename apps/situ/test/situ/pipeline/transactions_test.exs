@@ -29,7 +29,8 @@ defmodule Situ.Pipeline.TransactionsTest do
     start: [:not_running, :unknown_component, :still_running, :no_checkpoint, :component_killed],
     tap: [:not_running, :component_restarted],
     replace: [:not_running, :component_restarted],
-    checkpoint: [:not_running, :not_settled, :busy, :component_failed]
+    checkpoint: [:not_running, :not_settled, :component_failed],
+    pause: [:not_running, :fixed_clock]
   }
 
   defmodule Gain do
@@ -76,7 +77,8 @@ defmodule Situ.Pipeline.TransactionsTest do
       |> Task.yield_many(60_000)
       |> Enum.flat_map(&fetch_changes!(&1, p, key))
 
-    {result, count} = finish(p, clock, rem(round, 4))
+    {result, count, kills} = finish(p, clock, rem(round, 4))
+    changes = changes ++ kills
     check_result(result, changes, key)
 
     for {kind, _name, {:error, error}} <- changes,
@@ -110,22 +112,29 @@ defmodule Situ.Pipeline.TransactionsTest do
 
     stages = for {id, m} <- life.stages, m.added?, do: {id, m.path, m.status, m.alive?, m.open?}
 
-    {life.phase, life.step, life.growths, life.parts, life.links.active, stages}
+    {life.phase, life.step, life.growths, life.parts, life.operations, life.links.active, stages}
   end
 
   # Ends by hand in every fourth round, which delivers the messages up to then.
   defp finish(p, clock, 0) do
     result = with {:error, %{code: :not_running}} <- Pipeline.stop(p), do: Pipeline.await(p)
-    {result, min(@count, div(Clock.now(clock), Time.ms(1)) + 1)}
+    {result, min(@count, div(Clock.now(clock), Time.ms(1)) + 1), []}
   end
 
-  defp finish(p, clock, _else) do
+  defp finish(p, clock, kind) do
     # Its source has no end.
     Pipeline.remove(p, "Own")
     Clock.jump(clock, Time.ms(@count + 10))
+    # The pipeline drains.
+    kills = if kind == 1, do: for(_ <- 1..3, do: kill_victim(p)), else: []
     result = Pipeline.await(p, 60_000)
     if match?({:error, %{code: :timeout}}, result), do: flunk(inspect(pending(p), limit: 400))
-    {result, @count}
+    {result, @count, kills}
+  end
+
+  defp kill_victim(p) do
+    for {"Victim", pid} <- list_processes(p), do: kill(pid)
+    {:kill, "Victim", :ok}
   end
 
   defp describe({seed, round}, what, changes) do
@@ -200,7 +209,7 @@ defmodule Situ.Pipeline.TransactionsTest do
     :rand.seed(:exsss, key)
 
     for _ <- 1..@changes do
-      change = make_change(:rand.uniform(14), p, Enum.random(@parts))
+      change = make_change(:rand.uniform(15), p, Enum.random(@parts))
       advance(clock)
       change
     end
@@ -265,6 +274,9 @@ defmodule Situ.Pipeline.TransactionsTest do
 
     {:checkpoint, nil, Pipeline.checkpoint(p, handled, timeout: 100)}
   end
+
+  # A manual clock cannot be paused. The request still takes its place in the order of the changes.
+  defp make_change(13, p, _name), do: {:pause, nil, Pipeline.pause(p)}
 
   # Kills a process of the part, or another one that may restart.
   defp make_change(_kind, p, name) do

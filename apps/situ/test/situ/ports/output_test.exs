@@ -32,30 +32,30 @@ defmodule Situ.Ports.OutputTest do
     end
   end
 
-  test "a consumer that is replaced after the closing mark gets it again, after what was not handled",
-       %{output: output, counters: counters} do
-    output = output |> ask(self(), 10) |> post([1, 2, 3]) |> Output.close(3) |> Output.flush(0)
-    assert received() == [1, 2, 3, {:closed, 3}]
-    assert Output.drained?(output)
+  describe "a consumer that is replaced after the closing mark" do
+    setup %{counters: counters} do
+      dead = spawn(fn -> :ok end)
+      sub = Subscriber.new(1, dead, counters, Delivery.unlimited())
+      output = Output.subscribe(Output.new(:out, "A", 1), sub)
+      output = output |> ask(dead, 10) |> post([1, 2, 3]) |> Output.close(3) |> Output.flush(0)
+      assert Output.drained?(output)
+      {:ok, output: output}
+    end
 
-    Counters.count_processed(counters, 1, 0, 0)
-    output = Output.replace_consumer(output, 1, self())
-    refute Output.drained?(output)
-    assert received() == []
+    defp replace_consumer(output),
+      do: Output.map_tagged(output, 1, &Subscriber.replace_consumer(&1, self()))
 
-    output = ask(output, self(), 10)
-    assert received() == [2, 3, {:closed, 3}]
-    assert Output.drained?(output)
-  end
+    test "gets it again, after what was not handled", %{output: output, counters: counters} do
+      Counters.count_processed(counters, 1, 0, 0)
+      assert Output.drained?(replace_consumer(output))
+      assert received() == [2, 3, {:closed, 3}]
+    end
 
-  test "a consumer that has handled everything gets only the closing mark again",
-       %{output: output, counters: counters} do
-    output = output |> ask(self(), 10) |> post([1]) |> Output.close(1) |> Output.flush(0)
-    assert received() == [1, {:closed, 1}]
-
-    Counters.count_processed(counters, 1, 0, 0)
-    assert Output.drained?(Output.replace_consumer(output, 1, self()))
-    assert received() == [{:closed, 1}]
+    test "gets only the mark if everything was handled", %{output: output, counters: counters} do
+      Counters.count_processed(counters, 3, 0, 0)
+      assert Output.drained?(replace_consumer(output))
+      assert received() == [{:closed, 3}]
+    end
   end
 
   describe "a process that replaces a dead one" do

@@ -43,4 +43,20 @@ defmodule Situ.Ports.SubscriberTest do
     assert flush([]) == []
     assert sub.demand == 18
   end
+
+  test "after the closing mark, a new process receives the messages and the mark again" do
+    dead = spawn(fn -> :ok end)
+    assert [sub] = Subscriber.close_drained(subscriber(dead), 5)
+    assert Subscriber.closed?(sub)
+    sub = Subscriber.replace_consumer(sub, self())
+    assert Subscriber.closed?(sub)
+    assert [[[%{data: 1}, _]], {:cancel, {:shutdown, {:closed, 5}}}] = flush([])
+  end
+
+  test "after the closing mark, a consumer that is announced twice receives the mark again" do
+    assert [sub] = Subscriber.close_drained(subscriber(self()), 5)
+    assert [_entry, {:cancel, _}] = flush([])
+    assert sub == Subscriber.replace_consumer(sub, self())
+    assert [{:cancel, {:shutdown, {:closed, 5}}}] = flush([])
+  end
 end

@@ -59,6 +59,35 @@ defmodule Situ.Simulation.RestartsTest do
     end)
   end
 
+  test "of two neighbours" do
+    build = fn p ->
+      p
+      |> numbers()
+      |> Situ.via(Pass, @killed)
+      |> Situ.via(Pass, name: "Next", on_error: :restart, policy: Delivery.throttle(2))
+      |> Situ.map(& &1, async: true)
+    end
+
+    Simulation.check(fn -> Simulated.check_order(build, 1..20) end,
+      schedules: @schedules,
+      kill: ["Killed", "Next", "Killed", "Next"]
+    )
+  end
+
+  test "of a chain of operators and the component after it" do
+    build = fn p ->
+      p
+      |> numbers()
+      |> Situ.map(& &1, [async: true] ++ @killed)
+      |> Situ.via(Pass, name: "Next", on_error: :restart)
+    end
+
+    Simulation.check(fn -> Simulated.check_order(build, 1..20) end,
+      schedules: @schedules,
+      kill: ["Killed", "Next", "Next"]
+    )
+  end
+
   test "while two other processes change the pipeline" do
     Simulation.check(&change_pipeline/0,
       schedules: div(@schedules, 2),

@@ -13,43 +13,40 @@ defmodule Situ.Pipeline.Dynamic.Input do
   # data, which cannot be recorded.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Edge
-  alias Situ.Lifecycle.Errors
+  alias Situ.Lifecycle.{Errors, Operations}
   alias Situ.Pipeline.{Stages, State}
   alias Situ.Ports.Counters
 
   @type events :: [Situ.Lifecycle.event()]
 
   @doc "Adds an input, connected to the stream `stream`, to the component that emits the stream `taker`."
-  @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def attach(state, change, from) do
+  @spec attach(State.t(), Operations.id(), map()) :: {State.t(), events()}
+  def attach(state, op, change) do
     with {:ok, {id, _}} <- State.fetch_port(state, change.taker),
          {:ok, taker} <- fetch_taker(state, id),
          {:ok, {origin, output}} <- State.fetch_port(state, change.stream),
          {:ok, source} <- State.fetch_output_stage(state, origin),
          :ok <- check_no_cycle(state.graph, id, origin) do
-      {lend_output(state, {id, taker}, {origin, output, source}, change, from), []}
+      {lend_output(state, {id, taker}, {origin, output, source}, change, op), []}
     else
-      {:error, error} -> reject_caller(state, from, error)
+      {:error, error} -> refuse(state, op, error)
     end
   end
 
   @doc "Removes an added input."
-  @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def detach(state, change, from) do
+  @spec detach(State.t(), Operations.id(), map()) :: {State.t(), events()}
+  def detach(state, op, change) do
     with {:ok, {id, _}} <- State.fetch_port(state, change.taker),
          {:ok, stage} <- fetch_taker(state, id) do
       ref = make_ref()
       Stages.send_request(state, stage.id, {:detach, ref, change.request})
-      {put_request(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
+      {put_request(state, ref, %{op: op, stages: [stage.id], link: nil}), []}
     else
-      {:error, error} -> reject_caller(state, from, error)
+      {:error, error} -> refuse(state, op, error)
     end
   end
 
-  defp reject_caller(state, from, error) do
-    GenServer.reply(from, {:error, error})
-    {state, []}
-  end
+  defp refuse(state, op, error), do: {state, [{:finished, op, {:error, error}}]}
 
   @doc "Handles a source that has added the subscriber: asks the component to accept the input."
   @spec request_attachment(State.t(), term(), term()) :: {State.t(), events()}
@@ -83,14 +80,14 @@ defmodule Situ.Pipeline.Dynamic.Input do
           {State.t(), events()}
   def handle_attach_reply(state, ref, id, {:ok, reply}, opts) do
     {pending, inputs} = Map.pop(state.dynamic.inputs, ref)
-    if pending, do: GenServer.reply(pending.from, {:ok, reply})
+    finished = if pending, do: [{:finished, pending.op, {:ok, reply}}], else: []
     state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
 
     added = fn vertex ->
       %{vertex | opts: opts, inputs: extended_inputs(vertex, pending && pending.link)}
     end
 
-    {update_head_vertex(state, id, added), []}
+    {update_head_vertex(state, id, added), finished}
   end
 
   def handle_attach_reply(state, ref, _id, {:error, error}, _opts),
@@ -120,7 +117,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     end
   end
 
-  defp lend_output(state, {id, taker}, {origin, output, source}, change, from) do
+  defp lend_output(state, {id, taker}, {origin, output, source}, change, op) do
     tag = state.graph.next_edge
     input = free_input_name(state, id, change.input)
     policy = change.policy || state.graph.default_policy || Delivery.unlimited()
@@ -134,7 +131,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     state = update_wires(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})
 
     put_request(state, tag, %{
-      from: from,
+      op: op,
       stages: [source.id, taker.id],
       link: link,
       request: change.request
@@ -206,9 +203,9 @@ defmodule Situ.Pipeline.Dynamic.Input do
         {state, []}
 
       {pending, inputs} ->
-        GenServer.reply(pending.from, {:error, error})
         state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
-        if pending.link, do: cut_link(state, pending.link), else: {state, []}
+        {state, events} = if pending.link, do: cut_link(state, pending.link), else: {state, []}
+        {state, events ++ [{:finished, pending.op, {:error, error}}]}
     end
   end
 

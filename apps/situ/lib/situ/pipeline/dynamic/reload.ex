@@ -38,8 +38,11 @@ defmodule Situ.Pipeline.Dynamic.Reload do
   @spec process(State.t()) :: pid() | nil
   def process(%{code: {_version, process}}), do: process
 
-  @doc "Handles the new graph: replaces the functions in the graph, and in the stages if it is planned."
-  @spec finish(State.t(), pid(), {:ok, Situ.Graph.t()} | :error) :: State.t()
+  @doc """
+  Handles the new graph: replaces the functions in the graph. Returns the requests to replace those in the stages; the
+  process receives a reply to each.
+  """
+  @spec finish(State.t(), pid(), {:ok, Situ.Graph.t()} | :error) :: {State.t(), [map()]}
   def finish(%{code: {version, process}} = state, process, result) do
     {module, _} = state.settings.origin
     state = %{state | code: {version, nil}}
@@ -47,7 +50,7 @@ defmodule Situ.Pipeline.Dynamic.Reload do
     # A graph of an older version must not be used: the VM may have discarded its functions.
     if result == :error or CodeReload.code_version(module) not in [nil, version] do
       send(process, {:situ_renewing, 0, []})
-      begin(state)
+      {begin(state), []}
     else
       renew(state, process, elem(result, 1))
     end
@@ -56,15 +59,15 @@ defmodule Situ.Pipeline.Dynamic.Reload do
   # A newer version has been loaded in the meantime.
   def finish(state, process, _result) do
     send(process, {:situ_renewing, 0, []})
-    state
+    {state, []}
   end
 
   defp renew(state, process, graph) do
     state = %{state | graph: Handlers.replace_handlers(state.graph, graph)}
     {state, stages} = Dynamic.Guarantee.reload(state, graph)
-    {state, count} = Dynamic.Replacement.reload(state, graph, {process, :renewed})
-    send(process, {:situ_renewing, count, stages})
-    state
+    {state, requests} = Dynamic.Replacement.reload(state, graph)
+    send(process, {:situ_renewing, length(requests), stages})
+    {state, requests}
   end
 
   @doc false

@@ -1,56 +1,50 @@
 defmodule Situ.Pipeline.Dynamic.Replacement do
   @moduledoc false
-  # Replaces the module or the options of a running component. Each stage handles one replacement at a time, in the
-  # order of the requests. A waiting request is checked against the component at the time when it begins.
-  alias Situ.{Error, Runtime, Type}
+  # Replaces the module or the options of a running component.
+  alias Situ.{Error, Type}
   alias Situ.Component.FunctionSwap
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Lifecycle.Errors
+  alias Situ.Lifecycle.{Errors, Operations}
   alias Situ.Pipeline.{Stages, State}
 
-  @doc "Asks the stage or queues the request; the caller receives its reply when the replacement succeeds or fails."
-  @spec request_replacement(State.t(), map(), GenServer.from()) :: State.t()
-  def request_replacement(state, %{node: node, change: change, timeout: timeout}, from) do
+  @doc "Asks the stage for the operation `op`; it ends when the stage has replaced the component, or with an error."
+  @spec replace(State.t(), Operations.id(), map()) :: {State.t(), [Situ.Lifecycle.event()]}
+  def replace(state, op, %{node: node, change: change}) do
     with {:ok, vertex} <- State.fetch_vertex(state, node),
-         {:ok, stage, _index} <- State.fetch_stage(state, vertex.id) do
-      ref = make_ref()
-      if timeout != :infinity, do: Runtime.send_after({:situ_late, ref, timeout}, timeout)
-      enqueue_request(state, stage.id, %{ref: ref, vertex: vertex.id, change: change, from: from})
+         {:ok, stage, index} <- State.fetch_stage(state, vertex.id),
+         {:ok, module, opts} <- resolve_target(vertex, change),
+         :ok <- check_ports(state.graph, vertex, module) do
+      Stages.send_request(state, stage.id, {:replace, op, index, module, opts})
+      opts = with {:keep, step} <- opts, do: step
+      request = %{op: op, vertex: vertex.id, index: index, module: module, opts: opts}
+      {put_replacement(state, stage.id, request), []}
     else
-      {:error, error} ->
-        GenServer.reply(from, {:error, error})
-        state
+      {:error, error} -> {state, [{:finished, op, {:error, error}}]}
     end
   end
 
   @doc """
   Replaces each operator with the operator of the same name in `graph`, another version of the same pipeline, and the
-  functions in component options with the functions at the same positions. `from` receives one reply from each running
-  component that has new functions; returns their number.
+  functions in component options with the functions at the same positions. Returns the requests to replace the running
+  ones.
   """
-  @spec reload(State.t(), Situ.Graph.t(), GenServer.from()) :: {State.t(), non_neg_integer()}
-  def reload(state, graph, from) do
+  @spec reload(State.t(), Situ.Graph.t()) :: {State.t(), [map()]}
+  def reload(state, graph) do
     fresh =
       for {_, vertex} <- graph.vertices, into: %{}, do: {{vertex.path, vertex.module}, vertex}
 
-    Enum.reduce(state.graph.vertices, {state, 0}, fn {id, vertex}, {state, count} ->
+    Enum.reduce(state.graph.vertices, {state, []}, fn {id, vertex}, {state, requests} ->
       with %{opts: new} <- fresh[{vertex.path, vertex.module}],
            renewed when renewed != vertex.opts <- renew_options(vertex, new) do
         # A restart begins with the new functions, even if the stage ends before it has taken them.
         state = put_options(state, id, renewed)
-        request = %{ref: make_ref(), vertex: id, change: {:renew, vertex.module, new}, from: from}
-        renew_stage(state, request, count)
+        request = %{node: vertex.path, change: {:renew, vertex.module, new}}
+        running? = match?({:ok, _stage, _index}, State.fetch_stage(state, id))
+        {state, if(running?, do: [request | requests], else: requests)}
       else
-        _ -> {state, count}
+        _ -> {state, requests}
       end
     end)
-  end
-
-  defp renew_stage(state, request, count) do
-    case State.fetch_stage(state, request.vertex) do
-      {:ok, stage, _index} -> {enqueue_request(state, stage.id, request), count + 1}
-      {:error, _error} -> {state, count}
-    end
   end
 
   defp renew_options(%{module: :operator}, new), do: new
@@ -70,107 +64,38 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     %{state | graph: %{state.graph | vertices: vertices}, stages: stages}
   end
 
-  defp enqueue_request(%{dynamic: %{replaces: replaces}} = state, id, request) do
-    case replaces do
-      %{^id => {current, waiting}} -> put_entry(state, id, {current, :queue.in(request, waiting)})
-      _ -> begin_request(state, id, request, :queue.new())
-    end
-  end
-
-  defp begin_request(state, id, request, waiting) do
-    vertex = state.graph.vertices[request.vertex]
-
-    with {:ok, stage, index} <- State.fetch_stage(state, vertex.id),
-         {:ok, module, opts} <- resolve_target(vertex, request.change),
-         :ok <- check_ports(state.graph, vertex, module) do
-      Stages.send_request(state, stage.id, {:replace, request.ref, index, module, opts})
-      opts = with {:keep, step} <- opts, do: step
-
-      put_entry(
-        state,
-        id,
-        {Map.merge(request, %{index: index, module: module, opts: opts}), waiting}
-      )
-    else
-      {:error, error} ->
-        reply_to_caller(request, {:error, error})
-        begin_next(state, id, waiting)
-    end
-  end
-
-  defp begin_next(state, id, waiting) do
-    case :queue.out(waiting) do
-      {{:value, request}, waiting} -> begin_request(state, id, request, waiting)
-      {:empty, _} -> put_entry(state, id, nil)
-    end
-  end
-
   @doc "Handles the stage's reply."
-  @spec handle_reply(State.t(), pos_integer(), reference(), :ok | {:error, Error.t()}) ::
-          State.t()
-  def handle_reply(state, id, ref, answer) do
+  @spec handle_reply(State.t(), pos_integer(), Operations.id(), :ok | {:error, Error.t()}) ::
+          {State.t(), [Situ.Lifecycle.event()]}
+  def handle_reply(state, id, op, answer) do
     case state.dynamic.replaces do
-      %{^id => {%{ref: ^ref} = request, waiting}} ->
-        reply_to_caller(request, answer)
+      %{^id => %{op: ^op} = request} ->
         state = if answer == :ok, do: update_stage_vertex(state, id, request), else: state
-        begin_next(state, id, waiting)
+        {delete_replacement(state, id), [{:finished, op, answer}]}
 
       _ ->
-        state
+        {state, []}
     end
   end
 
-  @doc "Replies to the caller with a timeout error; the replacement itself continues."
-  @spec handle_timeout(State.t(), reference(), timeout()) :: State.t()
-  def handle_timeout(state, ref, timeout) do
-    error = {:error, Errors.request_timeout(:replace, timeout)}
-
-    replaces =
-      Map.new(state.dynamic.replaces, fn {id, {current, waiting}} ->
-        waiting =
-          :queue.from_list(Enum.map(:queue.to_list(waiting), &reply_if_ref(&1, ref, error)))
-
-        {id, {reply_if_ref(current, ref, error), waiting}}
-      end)
-
-    %{state | dynamic: %{state.dynamic | replaces: replaces}}
-  end
-
-  defp reply_if_ref(%{ref: ref} = request, ref, error) do
-    reply_to_caller(request, error)
-    %{request | from: nil}
-  end
-
-  defp reply_if_ref(request, _ref, _error), do: request
-
-  @doc "Fails the requests of callers that wait for a stage whose process has ended."
-  @spec fail_pending(State.t(), pos_integer()) :: State.t()
+  @doc "Refuses the replacement in a stage whose process has ended."
+  @spec fail_pending(State.t(), pos_integer()) :: {State.t(), [Situ.Lifecycle.event()]}
   def fail_pending(state, id) do
     case state.dynamic.replaces do
-      %{^id => {current, waiting}} ->
-        path = state.graph.vertices[current.vertex].path
-
-        for request <- [current | :queue.to_list(waiting)],
-            do: reply_to_caller(request, {:error, Errors.component_restarted(path)})
-
-        put_entry(state, id, nil)
+      %{^id => %{op: op, vertex: vertex}} ->
+        error = Errors.component_restarted(state.graph.vertices[vertex].path)
+        {delete_replacement(state, id), [{:finished, op, {:error, error}}]}
 
       _ ->
-        state
+        {state, []}
     end
   end
 
-  defp reply_to_caller(%{from: nil}, _answer), do: :ok
-  defp reply_to_caller(%{from: from}, answer), do: GenServer.reply(from, answer)
+  defp put_replacement(%{dynamic: dynamic} = state, id, request),
+    do: %{state | dynamic: %{dynamic | replaces: Map.put(dynamic.replaces, id, request)}}
 
-  defp put_entry(state, id, nil),
-    do: %{state | dynamic: %{state.dynamic | replaces: Map.delete(state.dynamic.replaces, id)}}
-
-  defp put_entry(state, id, entry),
-    do: %{
-      state
-      | dynamic: %{state.dynamic | replaces: Map.put(state.dynamic.replaces, id, entry)}
-    }
+  defp delete_replacement(%{dynamic: dynamic} = state, id),
+    do: %{state | dynamic: %{dynamic | replaces: Map.delete(dynamic.replaces, id)}}
 
   # A restart begins with this component and these options from now on.
   defp update_stage_vertex(state, id, %{index: index, module: module, opts: opts}) do

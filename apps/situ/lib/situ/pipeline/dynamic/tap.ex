@@ -4,35 +4,32 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   # chain, to a probe.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Lifecycle.Errors
+  alias Situ.Lifecycle.{Errors, Operations}
   alias Situ.Pipeline.{StageProcesses, Stages, State}
   alias Situ.Ports.Counters
 
   @type events :: [Situ.Lifecycle.event()]
 
-  @doc "Attaches a tap; the caller receives its reply when messages can arrive, or immediately after an error."
-  @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def attach(state, %{stream: which, component: component, opts: opts}, from) do
+  @doc "Attaches a tap, which ends with `owner`. The operation `op` ends when messages can arrive, or with an error."
+  @spec attach(State.t(), Operations.id(), map(), pid()) :: {State.t(), events()}
+  def attach(state, op, %{stream: which, component: component, opts: opts}, owner) do
     with {:ok, {id, output}} <- State.fetch_port(state, which),
          {:ok, stage, index} <- State.fetch_stage(state, id) do
-      add_tap(state, {id, output, stage, index}, component, opts, from)
+      add_tap(state, {id, output, stage, index}, component, opts, {op, owner})
     else
-      {:error, error} ->
-        GenServer.reply(from, {:error, error})
-        {state, []}
+      {:error, error} -> {state, [{:finished, op, {:error, error}}]}
     end
   end
 
   @doc "Confirms a tap that its source has added as a subscriber."
-  @spec confirm_attached(State.t(), term()) :: State.t()
+  @spec confirm_attached(State.t(), term()) :: {State.t(), events()}
   def confirm_attached(state, tag) do
-    case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.from != nil end) do
+    case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.op != nil end) do
       {id, tap} ->
-        GenServer.reply(tap.from, {:ok, {self(), id}})
-        put_tap(state, id, %{tap | from: nil})
+        {put_tap(state, id, %{tap | op: nil}), [{:finished, tap.op, {:ok, {self(), id}}}]}
 
       nil ->
-        state
+        {state, []}
     end
   end
 
@@ -45,7 +42,9 @@ defmodule Situ.Pipeline.Dynamic.Tap do
 
         Stages.send_request(state, tap.source, {:untap, tap.tag})
         Stages.send_request(state, id, :quit)
-        {remove_from_graph(state, id, tap), [{:left, id}]}
+        # A tap that was not attached yet is refused.
+        refused = if tap.op, do: [{:finished, tap.op, {:error, Errors.not_running()}}], else: []
+        {remove_from_graph(state, id, tap), [{:left, id} | refused]}
 
       _ ->
         {state, []}
@@ -65,11 +64,11 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   @spec fail_pending(State.t(), pos_integer()) :: {State.t(), events()}
   def fail_pending(state, id) do
     Enum.reduce(state.dynamic.taps, {state, []}, fn {tap_id, tap}, {state, events} ->
-      if tap.from != nil and id in [tap.source, tap_id] do
+      if tap.op != nil and id in [tap.source, tap_id] do
         path = hd(state.stages[tap.source].vertices).path
-        GenServer.reply(tap.from, {:error, Errors.component_restarted(path)})
-        {state, more} = detach(put_tap(state, tap_id, %{tap | from: nil}), tap_id)
-        {state, events ++ more}
+        refused = {:finished, tap.op, {:error, Errors.component_restarted(path)}}
+        {state, more} = detach(put_tap(state, tap_id, %{tap | op: nil}), tap_id)
+        {state, events ++ more ++ [refused]}
       else
         {state, events}
       end
@@ -92,7 +91,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
          {from, output, source, index},
          {module, component},
          opts,
-         {owner, _} = caller
+         {op, owner}
        ) do
     id = state.graph.next_vertex
     tag = state.graph.next_edge
@@ -116,7 +115,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
       source: source.id,
       output: output,
       index: index,
-      from: caller,
+      op: op,
       monitor: Process.monitor(owner)
     }
 

@@ -126,9 +126,16 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       stop = Task.async(fn -> Pipeline.stop_part(p, "Side") end)
       assert eventually(fn -> map_size(:sys.get_state(p).life.parts) == 1 end)
       removals = for _ <- 1..2, do: Task.async(fn -> Pipeline.remove(p, "Side") end)
-      assert eventually(fn -> map_size(:sys.get_state(p).life.parts) == 3 end)
+      assert eventually(fn -> length(Pipeline.list_changes(p)) == 4 end)
+
+      assert [:waiting, :waiting, :running, :applied] =
+               for(change <- Pipeline.list_changes(p), do: change.state)
+
       send(side, :go)
-      assert [:ok, :ok, :ok] = Task.await_many([stop | removals], 30_000)
+      assert :ok = Task.await(stop, 30_000)
+      # The second one waits for the first one, after which there is nothing to remove.
+      answers = Task.await_many(removals, 30_000)
+      assert [:ok, {:error, %{code: :unknown_component}}] = Enum.sort(answers)
       assert paths(p) == ["Count"]
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end

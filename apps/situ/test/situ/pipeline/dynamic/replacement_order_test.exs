@@ -2,6 +2,8 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
   # Replacements that are requested concurrently, or whose component dies before they are done.
   use ExUnit.Case, async: true
 
+  import Situ.Test.Eventually
+
   alias Situ.Fixture.Count
   alias Situ.{Pipeline, Time}
 
@@ -111,10 +113,10 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
 
     test "returns an error if the component dies before it is replaced" do
       {p, pid} = slow(on_error: :restart)
-      tasks = for k <- 1..3, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: pid) end)
+      me = self()
+      tasks = for k <- 1..3, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: me) end)
       tap = Task.async(fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end)
-      # All requests have arrived.
-      waiting(p, 3)
+      assert eventually(fn -> length(Pipeline.list_changes(p)) == 4 end)
       Process.exit(pid, :kill)
 
       for task <- [tap | tasks],
@@ -135,18 +137,6 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
       # The replacement happens anyway.
       until(7)
       Process.exit(p, :kill)
-    end
-
-    defp waiting(p, n) do
-      %{dynamic: %{replaces: replaces, taps: taps}} = :sys.get_state(p)
-
-      case Map.values(replaces) do
-        [{_, queue}] when map_size(taps) == 1 ->
-          if :queue.len(queue) == n - 1, do: :ok, else: waiting(p, n)
-
-        _ ->
-          waiting(p, n)
-      end
     end
   end
 end
