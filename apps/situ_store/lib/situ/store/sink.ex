@@ -226,20 +226,25 @@ defmodule Situ.Store.Sink do
     put_stream(state, unwrap!(append_pending(state)))
   end
 
-  # This process replaces one that had committed these messages and died before they counted as handled.
-  defp finish_append(
-         %{fresh: true, rotation: nil} = state,
-         {:error, %{code: :not_increasing, meta: %{last: last}}}
-       ) do
-    later? = &(&1.originating_time > last)
+  # This process replaces one that died after it had committed some of these messages. They may arrive in several
+  # deliveries, so this ends only with the first later message.
+  defp finish_append(%{fresh: true} = state, {:error, %{code: :not_increasing} = error}) do
+    later? = &(&1.originating_time > error.meta.last)
     batches = for batch <- state.pending, do: Enum.filter(batch, later?)
-    state = %{state | fresh: false, pending: Enum.reject(batches, &(&1 == []))}
-    put_stream(state, unwrap!(append_pending(state)))
+
+    case Enum.reject(batches, &(&1 == [])) do
+      [] ->
+        {state, state.stream}
+
+      later ->
+        state = %{state | fresh: false, pending: later}
+        put_stream(state, unwrap!(append_pending(state)))
+    end
   end
 
-  defp finish_append(state, result), do: put_stream(state, unwrap!(result))
+  defp finish_append(state, result), do: put_stream(%{state | fresh: false}, unwrap!(result))
 
-  defp put_stream(%{rotation: nil} = state, stream), do: {%{state | fresh: false}, stream}
+  defp put_stream(%{rotation: nil} = state, stream), do: {state, stream}
 
   defp put_stream(%{rotation: {rotation, cut, _, _}} = state, stream) do
     Rotation.report_append(rotation, cut, state.segment, latest_time(state.pending))

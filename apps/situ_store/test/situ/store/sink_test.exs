@@ -1,7 +1,7 @@
 defmodule Situ.Store.SinkTest do
   # A sink writes the messages that arrive, and keeps those written before an error.
   use ExUnit.Case, async: true
-  alias Situ.{Pipeline, Store}
+  alias Situ.{Message, Pipeline, Store}
 
   @moduletag :tmp_dir
 
@@ -53,6 +53,30 @@ defmodule Situ.Store.SinkTest do
     :ok = record(root, "wide", streams)
     for {name, data} <- streams, do: assert(recorded(root, "wide", name) == data)
   end
+
+  test "a restarted writer skips what its predecessor had committed", %{tmp_dir: root} do
+    {:ok, writer} = Store.Writer.create("restarted", root)
+    {:ok, stream} = Store.Writer.stream(writer, "s")
+    {:ok, _} = Store.Writer.append(stream, messages(1..7))
+    {:ok, state} = Store.Sink.init(stream: stream, eager: true, pass: true)
+
+    # They come again in several deliveries, one of which also has new messages.
+    for range <- [1..3, 4..5, 6..9, 10..11], reduce: state do
+      state ->
+        messages = messages(range)
+
+        assert {[{:out, ^messages}], state} =
+                 Store.Sink.handle_messages(:in, messages, %{}, state)
+
+        state
+    end
+
+    :ok = Store.Writer.close(writer)
+    assert recorded(root, "restarted", "s") == Enum.to_list(1..11)
+  end
+
+  defp messages(numbers),
+    do: for(n <- numbers, do: %Message{data: n, originating_time: n, sequence_id: n})
 
   test "messages are committed while their pipeline waits for more", %{tmp_dir: root} do
     {:ok, p} =
