@@ -128,6 +128,14 @@ defmodule Situ.Stage do
     end
   end
 
+  # A restarted stage has neither its neighbours nor its dispatcher yet.
+  def handle_info(
+        {:"$gen_producer", {_address, tag}, _request} = message,
+        %{steps: steps} = state
+      )
+      when not is_integer(tag) and elem(steps, 0).phase == :starting,
+      do: {:noreply, Loop.keep_early(state, message)}
+
   def handle_info({:"$gen_producer", {address, _tag} = from, {:ask, n} = request}, state)
       when (is_pid(address) or is_tuple(address)) and is_integer(n) and n > 0 do
     case State.update_outputs(state, &Outputs.add_demand(&1, from, n)) do

@@ -7,7 +7,7 @@ defmodule Situ.Stage.Loop do
   alias Situ.Component.Callback
   alias Situ.Delivery.Batch
   alias Situ.Ports.{Input, Inputs, Outputs}
-  alias Situ.Stage.{CallbackRunner, State, Step, StepRunner}
+  alias Situ.Stage.{CallbackRunner, State, Step, StepRunner, Subscriptions}
 
   @compile {:inline, last: 1, resume_demand: 1, schedule: 1, enlarge_heap: 2}
 
@@ -50,7 +50,7 @@ defmodule Situ.Stage.Loop do
   def handle_plain_message(%{steps: steps} = state, message) do
     case elem(steps, 0) do
       %{phase: :starting} ->
-        %{state | early: [message | state.early]}
+        keep_early(state, message)
 
       %{phase: :running, worker: %Callback{}} = step ->
         step = Step.wake_source(step)
@@ -62,11 +62,23 @@ defmodule Situ.Stage.Loop do
     end
   end
 
-  @doc "Handles, in order, the plain messages that arrived before the stage was running."
+  @doc "Keeps a message from outside until the stage is running."
+  @spec keep_early(State.t(), term()) :: State.t()
+  def keep_early(%{early: early} = state, message), do: %{state | early: [message | early]}
+
+  @doc "Handles, in order, the messages from outside that arrived before the stage was running."
   @spec handle_early(State.t()) :: State.t()
-  def handle_early(%{early: early} = state),
-    do:
-      early |> Enum.reverse() |> Enum.reduce(%{state | early: []}, &handle_plain_message(&2, &1))
+  def handle_early(%{early: early} = state) do
+    early
+    |> Enum.reverse()
+    |> Enum.reduce(%{state | early: []}, fn
+      {:"$gen_producer", from, request}, state ->
+        state |> Subscriptions.handle_consumer_request(from, request) |> run_slice()
+
+      message, state ->
+        handle_plain_message(state, message)
+    end)
+  end
 
   @doc "Handles a request of another process to the component (`from` is `nil` for a cast)."
   @spec handle_request(State.t(), term(), GenServer.from() | nil) :: State.t()

@@ -104,7 +104,8 @@ defmodule Situ.Stage.SharedProcess do
         process
       ) do
     with true <- Keyword.keyword?(opts), {:ok, id} <- Keyword.fetch(opts, :stage) do
-      run_stage(process, id, message)
+      producers = Map.put_new(process.producers, tag, id)
+      run_stage(%{process | producers: producers}, id, message)
     else
       _unknown -> run_producer(process, tag, message)
     end

@@ -23,10 +23,10 @@ defmodule Situ.Stage.State do
   ]
 
   @typedoc """
-  `links` maps the tag of each connection between two steps to the position of the second one. `early` holds plain
-  messages that arrived before the stage was running, newest first. With `scheduled`, a message to itself asks for
-  another time slice. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot that it
-  starts with (see Checkpoint).
+  `links` maps the tag of each connection between two steps to the position of the second one. `early` holds
+  messages from outside that arrived before the stage was running, newest first. With `scheduled`, a message to itself
+  asks for another time slice. With `quitting`, the stage ends once its outputs are drained. `memory` is the snapshot
+  that it starts with (see Checkpoint).
 
   `ready` and `load` are for a shared process: whether it is going to run a time slice of the stage, and how much the
   stage has to do. `relay` monitors the shared process that the stage has left (see Relocation).

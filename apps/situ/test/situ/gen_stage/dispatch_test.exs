@@ -183,7 +183,7 @@ defmodule Situ.GenStage.DispatchTest do
   end
 
   test "the pipeline waits for a consumer, but not when it is stopped" do
-    out = start(:demand, 500, stop_timeout: 50)
+    out = start(:demand, 500, stop_timeout: 2_000)
     refute_receive {:DOWN, _, _, _, _}, 200
     assert Pipeline.state(out.p) != :stopped
     assert {:ok, %{errors: []}} = Pipeline.stop(out.p)
@@ -255,6 +255,48 @@ defmodule Situ.GenStage.DispatchTest do
     last = Enum.max(before)
     assert Enum.all?((last + 20)..2_000, &(&1 in data))
     assert {:ok, _} = Pipeline.await(out.p, 30_000)
+  end
+
+  defmodule SlowRestart do
+    # Passes messages on. Each `init/1` but the first reports its process and waits for `:go`.
+    use Situ.Component, inputs: [in: :any], outputs: [out: :any], options: [test: [type: :any]]
+
+    @impl true
+    def init(opts) do
+      {test, starts} = opts[:test]
+      :counters.add(starts, 1, 1)
+
+      if :counters.get(starts, 1) > 1 do
+        send(test, {:init, self()})
+        receive do: (:go -> {:ok, nil})
+      else
+        {:ok, nil}
+      end
+    end
+
+    @impl true
+    def handle_message(:in, message, _context, state), do: {[{:out, message}], state}
+  end
+
+  test "a consumer that subscribes to a stage before that has started again receives its messages" do
+    test = {self(), :counters.new(1, [])}
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p
+        |> Situ.timer(every: 1_000_000)
+        |> Situ.via(SlowRestart, test: test, name: "Slow", on_error: :restart)
+      end)
+
+    {:ok, {first, sub}} = GenStage.subscription(p, "Slow")
+    Process.exit(first, :kill)
+    assert_receive {:init, second}, 5_000
+    consumer = consumer(%{pid: second, sub: sub})
+    # Its requests are sent.
+    :sys.get_state(consumer)
+    send(second, :go)
+    assert_receive {:got, ^consumer, [_ | _]}, 5_000
+    assert {:ok, _} = Pipeline.stop(p)
   end
 
   defp restarted(%{p: p, pid: old} = out) do
