@@ -166,6 +166,28 @@ defmodule Situ.SimulationTest do
       assert Simulation.check(fun, schedules: 50) == :ok
     end
 
+    test "does not count the wait for information about a busy process as a deadlock" do
+      # A process answers `Process.info/2` between calls of such functions only.
+      spin = fn began ->
+        list = Enum.to_list(1..3_000_000)
+        :atomics.put(began, 1, 1)
+        for _ <- 1..1_000_000, do: {:erts_debug.flat_size(list), :erlang.yield()}
+      end
+
+      inspect_busy = fn ->
+        began = :atomics.new(1, [])
+        busy = spawn(fn -> spin.(began) end)
+        await_value(began, 1)
+        for _ <- 1..5, do: assert({:reductions, _n} = Process.info(busy, :reductions))
+        Process.exit(busy, :kill)
+      end
+
+      assert Simulation.check(inspect_busy, schedules: 2) == :ok
+    end
+
+    defp await_value(cell, value),
+      do: if(:atomics.get(cell, 1) != value, do: await_value(cell, value))
+
     test "reports a deadlock with the state of every process" do
       fun = fn ->
         wait = fn _n -> receive(do: (:never -> :ok)) end

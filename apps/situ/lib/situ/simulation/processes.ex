@@ -108,6 +108,15 @@ defmodule Situ.Simulation.Processes do
   defp add_runnable({:waits, seen}, n, pid, runnable) when n > seen, do: [pid | runnable]
   defp add_runnable(_status, _n, _pid, runnable), do: runnable
 
+  @doc "Returns the processes that wait in the middle of a turn, and not for the reply to a call."
+  @spec list_retriable(t()) :: [pid()]
+  def list_retriable(%__MODULE__{order: order, by_pid: by_pid}) do
+    Enum.filter(order, fn pid ->
+      match?({:waits, _seen}, by_pid[pid].status) and
+        Process.info(pid, :current_function) != {:current_function, {:gen, :do_call, 4}}
+    end)
+  end
+
   @doc "Grants the process a turn."
   @spec grant_turn(t(), pid(), reference()) :: {:new | :rests | :waits, t()}
   def grant_turn(%__MODULE__{by_pid: by_pid, order: order} = processes, pid, ref) do

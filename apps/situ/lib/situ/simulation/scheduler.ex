@@ -15,6 +15,9 @@ defmodule Situ.Simulation.Scheduler do
   @kill_odds 32
   # Turns after the function has returned, for processes that are about to end.
   @most_after 10_000
+  # How often, and at which interval, processes that may wait for something else than a message run again.
+  @retries 20
+  @retry_ms 10
   # A turn that takes this long (of real time) does not end.
   @longest_turn_us 30_000_000
 
@@ -89,11 +92,44 @@ defmodule Situ.Simulation.Scheduler do
       runnable != [] -> state |> choose_turn(runnable) |> loop()
       Timers.waiting?(state.timers) -> state |> fire_timer() |> loop()
       await_outside(state) -> loop(state)
-      true -> %{state | outcome: {:deadlock, Processes.describe_all(state.processes)}}
+      true -> retry_waiting(state, @retries)
     end
   end
 
   defp loop(state), do: state
+
+  # A function such as `Process.info/2` may wait for another process without a message, and a suspended process would
+  # wait forever. So before all count as deadlocked, these run again.
+  defp retry_waiting(%{outcome: nil} = state, retries) do
+    {runnable, state} = list_runnable(state)
+    waiting = Processes.list_retriable(state.processes)
+
+    cond do
+      runnable != [] or Timers.waiting?(state.timers) ->
+        loop(state)
+
+      waiting == [] or retries == 0 ->
+        %{state | outcome: {:deadlock, Processes.describe_all(state.processes)}}
+
+      true ->
+        waiting |> Enum.reduce(state, &retry_turn/2) |> retry_waiting(retries - 1)
+    end
+  end
+
+  defp retry_waiting(state, _retries), do: state
+
+  defp retry_turn(pid, %{outcome: nil} = state) do
+    if Processes.member?(state.processes, pid) do
+      {kind, processes} = Processes.grant_turn(state.processes, pid, state.shared.ref)
+      Process.sleep(@retry_ms)
+      began = System.monotonic_time(:microsecond)
+      receive_report(%{state | processes: processes}, {pid, kind, began})
+    else
+      state
+    end
+  end
+
+  defp retry_turn(_pid, state), do: state
 
   # Ends the processes that are left. Most of them are ending by themselves.
   defp finish(%{outcome: outcome} = state) do
