@@ -202,7 +202,21 @@ defmodule Situ do
 
   # Functions on data
 
-  @doc "Applies `fun` to the data (or to the data and the message)."
+  @doc """
+  Applies `fun` to the data (or to the data and the message).
+
+      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable([1, 2, 3], every: 10) |> Situ.map(&(&1 * 2)) end)
+      [2, 4, 6]
+
+  With `columns: true`, plain numbers are computed many at a time, for example by `Nx`:
+
+      iex> double = fn columns -> for <<x::little-signed-64 <- columns.values>>, into: <<>>, do: <<x * 2::little-64>> end
+      iex> build = fn p -> p |> Situ.from_enumerable([1, 2, 3], every: 10) |> Situ.map(double, columns: true) end
+      iex> Situ.to_list(build)
+      [2, 4, 6]
+
+  #{Options.docs(Selection.option_schema(:columns))}
+  """
   @doc group: "Functions on data"
   @spec map(Stream.t(), (term() -> term()) | (term(), Message.t() -> term()), keyword()) ::
           Stream.t()
@@ -243,7 +257,10 @@ defmodule Situ do
           Stream.t()
   defdelegate filter(stream, fun, opts \\ []), to: Selection
 
-  @doc "Calls `fun` (of the data, or of the data and the message) for its side effect and passes the message through."
+  @doc """
+  Calls `fun` (of the data, or of the data and the message; with `columns: true`, of `Situ.Columns`) for its side effect
+  and passes the message through.
+  """
   @doc group: "Functions on data"
   @spec each(Stream.t(), (term() -> any()) | (term(), Message.t() -> any()), keyword()) ::
           Stream.t()
@@ -730,8 +747,8 @@ defmodule Situ do
 
   @doc """
   Emits the items of any enumerable. With `every:` (and `align:`) the items are values at that interval. Otherwise they
-  are `{time, value}` pairs or messages, whose times must strictly increase. The enumerable is read lazily, so it may be
-  infinite or expensive.
+  are `{time, value}` pairs, messages or `Situ.Columns`, whose times must strictly increase. The enumerable is read
+  lazily, so it may be infinite or expensive.
 
       Situ.from_enumerable(p, 0..9, every: Situ.Time.ms(100))      # 0, 1 ... 9, a tenth of a second apart
       Situ.from_enumerable(p, File.stream!("level.csv"), every: Situ.Time.ms(20))

@@ -21,6 +21,7 @@ defmodule Situ.Component do
 
     * `{output, originating_time, data}`: emit a message; originating times must strictly increase per output;
     * `{output, [originating_time], [data]}`: emit several messages together, which costs less;
+    * `{output, %Situ.Columns{}}`: emit many numbers together, which costs least;
     * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit messages and keep the times and sequence ids
       of their envelopes (importers, connectors);
     * `{:complete, time}` or `{:complete, :infinity}`: a source announces its last originating time, or that it has no
@@ -48,6 +49,7 @@ defmodule Situ.Component do
   @type action ::
           {output :: atom(), Situ.Time.t(), data :: term()}
           | {output :: atom(), [Situ.Time.t(), ...], [data :: term(), ...]}
+          | {output :: atom(), Situ.Columns.t()}
           | {output :: atom(), Situ.Message.t() | [Situ.Message.t()]}
           | {:complete, Situ.Time.t() | :infinity}
           | {:close, output :: atom()}
@@ -83,6 +85,14 @@ defmodule Situ.Component do
   """
   @callback handle_messages(input :: atom(), [Situ.Message.t(), ...], Context.t(), state()) ::
               result()
+
+  @doc """
+  Handles many numbers from `input` as columns, with the same result as calling `handle_message/4` for each.
+
+  Optional. It is called if the component that emits the stream emits `Situ.Columns`; other messages arrive one by one,
+  or through `c:handle_messages/4`, for which the same rules apply.
+  """
+  @callback handle_columns(input :: atom(), Situ.Columns.t(), Context.t(), state()) :: result()
 
   @doc "Called when `input` has closed at `time`, after its last message; emits any output that depends on it."
   @callback handle_closed(input :: atom(), Situ.Time.t(), Context.t(), state()) :: result()
@@ -172,8 +182,8 @@ defmodule Situ.Component do
   """
   @callback share_process?() :: boolean()
 
-  @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
-  @optional_callbacks handle_request: 4
+  @optional_callbacks handle_demand: 3, handle_messages: 4, handle_columns: 4
+  @optional_callbacks handle_attach: 5, handle_detach: 3, handle_request: 4
   @optional_callbacks share_process?: 0
   @optional_callbacks migrate: 3, describe: 1, snapshot: 1, restore: 2, reopen: 1
 

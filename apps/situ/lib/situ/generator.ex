@@ -157,6 +157,7 @@ defmodule Situ.Generator do
   defp known_max_count(_enumerable), do: :infinity
 
   defp item_type(%Range{}), do: :integer
+  defp item_type([%Situ.Columns{kind: kind} | _]), do: kind
   defp item_type(_enumerable), do: :any
 
   defp check_every!(every, _count) when every > 0, do: :ok

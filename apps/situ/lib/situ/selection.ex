@@ -10,6 +10,15 @@ defmodule Situ.Selection do
         "Returns a last list of `{time, data}` at the stream's end: `fun.(closing_time, state)`."
     ]
   ]
+  @columns [
+    columns: [
+      type: :boolean,
+      default: false,
+      doc:
+        "The function takes `Situ.Columns`: many messages of plain numbers together. `map/3` expects as many values: a " <>
+          "list, a binary of the same kind, or `{kind, binary}`."
+    ]
+  ]
   @reorder [
     time: [
       type: {:fun, 1},
@@ -24,14 +33,30 @@ defmodule Situ.Selection do
 
   alias Situ.Graph.Placement
   alias Situ.{Argument, Generator, Operator, Stream}
+  alias Situ.Operator.ColumnFunction
   alias Situ.Selection.{Delay, Edit, Last, Process, Reorder}
 
-  @spec option_schema(:process | :reorder) :: Situ.Options.schema()
+  @spec option_schema(:process | :reorder | :columns) :: Situ.Options.schema()
   def option_schema(:process), do: @process
   def option_schema(:reorder), do: @reorder
+  def option_schema(:columns), do: @columns
 
-  def map(stream, fun, opts),
-    do: stream |> ensure_stream!("map") |> Operator.attach("Map", {:map, fun}, opts)
+  def map(stream, fun, opts) do
+    stream = ensure_stream!(stream, "map")
+    {columns?, opts} = pop_columns(opts)
+
+    if columns?,
+      do: attach_columns(stream, "Map", [fun: fun], opts, :number),
+      else: Operator.attach(stream, "Map", {:map, fun}, opts)
+  end
+
+  defp pop_columns(opts) do
+    {own, placement} = Placement.split_options!(opts, @columns, :operator)
+    {own[:columns], placement}
+  end
+
+  defp attach_columns(stream, name, own, opts, type),
+    do: Operator.attach_component(stream, name, {ColumnFunction, own}, opts, type)
 
   def filter(stream, fun, opts) do
     stream = ensure_stream!(stream, "filter")
@@ -40,7 +65,11 @@ defmodule Situ.Selection do
 
   def each(stream, fun, opts) do
     stream = ensure_stream!(stream, "each")
-    Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
+    {columns?, opts} = pop_columns(opts)
+
+    if columns?,
+      do: attach_columns(stream, "Each", [fun: fun, replace: false], opts, stream.type),
+      else: Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
   end
 
   defp ensure_stream!(stream, name),

@@ -4,9 +4,11 @@ defmodule Situ.Window do
 
   @schema [
     with: [
-      type: {:in, [:data, :messages]},
+      type: {:in, [:data, :messages, :columns]},
       default: :data,
-      doc: "Whether the function receives data or complete messages."
+      doc:
+        "Whether the function receives data, complete messages, or `Situ.Columns` (of numbers; windows by index, or " <>
+          "of the past)."
     ]
   ]
   @by [
@@ -18,7 +20,7 @@ defmodule Situ.Window do
 
   alias Situ.Graph.Placement
   alias Situ.{Argument, Interval, Operator, Stream}
-  alias Situ.Window.{ByStream, ByIndex, Component, ByTime}
+  alias Situ.Window.{ByColumns, ByIndex, ByStream, ByTime, Component}
 
   @spec option_schema(:window | :window_by) :: Situ.Options.schema()
   def option_schema(:window), do: @schema
@@ -63,6 +65,17 @@ defmodule Situ.Window do
         "Situ.window_by(stream, windows, fn message -> {interval, time} end)"
       )
 
+  defp attach_window(_stream, _window, {nil, :columns}, _rest),
+    do: raise(ArgumentError, "a window with: :columns needs a function of Situ.Columns")
+
+  defp attach_window(stream, window, {fun, :columns}, {type, placement}) do
+    case window do
+      %Range{} -> attach_columns(stream, window, fun, {type, placement})
+      %Interval{} -> attach_columns(stream, past_window!(window), fun, {type, placement})
+      _ -> raise_window!(window)
+    end
+  end
+
   # Windows that end at their anchor are complete when it arrives, so they run as light operators in a chain.
   defp attach_window(stream, %Range{first: from, last: to}, {fun, with}, {type, placement})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
@@ -88,7 +101,25 @@ defmodule Situ.Window do
     end
   end
 
-  defp attach_window(_stream, window, _fun, _rest) do
+  defp attach_window(_stream, window, _fun, _rest), do: raise_window!(window)
+
+  defp attach_columns(stream, window, fun, {type, placement}) do
+    core = {ByColumns, :new, [window, fun]}
+    Operator.attach_component(stream, "Window", {Component, [core: core]}, placement, type)
+  end
+
+  defp past_window!(interval) do
+    case Interval.sort_ends(interval) do
+      %{right: 0, right_inclusive: true, left: left} = past when is_integer(left) ->
+        past
+
+      other ->
+        raise ArgumentError,
+              "a window with: :columns ends at its own message, as Situ.Interval.past/1, got: #{inspect(other)}"
+    end
+  end
+
+  defp raise_window!(window) do
     raise ArgumentError,
           "a window is a range of indices or a Situ.Interval of ns, got: #{inspect(window)}"
   end

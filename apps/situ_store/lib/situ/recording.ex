@@ -90,7 +90,7 @@ defmodule Situ.Recording do
   none.
   """
   @callback columns(state(), StreamInfo.t(), ordinal :: non_neg_integer(), to :: Situ.Time.t()) ::
-              {:ok, Situ.Store.Columns.t(), non_neg_integer()} | :others | :ended | error()
+              {:ok, Situ.Columns.t(), non_neg_integer()} | :others | :ended | error()
   @doc "Returns spans of at least `least` ns without a message."
   @callback gaps(state(), StreamInfo.t(), least :: Situ.Time.duration()) ::
               [{Situ.Time.t(), Situ.Time.t()}]

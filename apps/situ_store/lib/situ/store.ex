@@ -36,13 +36,13 @@ defmodule Situ.Store do
   alias Situ.Recording.Formats
 
   alias Situ.Store.{
-    Columns,
     Copying,
     Editing,
     Exporter,
     Folder,
     Importer,
     Maintenance,
+    PartReader,
     Query,
     Summary
   }
@@ -209,12 +209,12 @@ defmodule Situ.Store do
 
   @doc """
   Returns the messages of a stream as an `Enumerable` of parts in order. A part with plain numbers is a
-  `Situ.Store.Columns` of many thousand messages; any other part is a list of messages.
+  `Situ.Columns` of many thousand messages; any other part is a list of messages.
 
-  #{Options.docs(Columns.PartReader.column_options())}
+  #{Options.docs(PartReader.column_options())}
   """
   @spec columns(t(), name(), keyword()) :: Enumerable.t()
-  defdelegate columns(store, name, opts \\ []), to: Columns.PartReader
+  defdelegate columns(store, name, opts \\ []), to: PartReader
 
   @doc """
   Reads up to `limit` messages, starting at a time: `{:ok, messages}`.

@@ -2,33 +2,43 @@ defmodule Situ.Component.Callback do
   @moduledoc false
   # A component and the calls to its callbacks. Every result or exception becomes a value. This module does not depend
   # on processes.
-  alias Situ.{Component, Error, Message}
+  alias Situ.{Columns, Component, Error, Message}
   alias Situ.Component.FunctionSwap
+  alias Situ.Delivery.Batch
 
   @enforce_keys [:module, :path, :opts, :on_error]
-  defstruct [:module, :path, :opts, :on_error, :core, batch: false]
+  defstruct [:module, :path, :opts, :on_error, :core, batch: false, columns: false]
 
-  @typedoc "`core` is the component's state; `batch` is true if it handles several messages in one call."
+  @typedoc """
+  `core` is the component's state. With `batch` it handles several messages in one call, with `columns` also
+  `Situ.Columns`.
+  """
   @type t :: %__MODULE__{
           module: module(),
           path: String.t(),
           opts: keyword(),
           on_error: :stop | :skip | :restart,
           core: Component.state(),
-          batch: boolean()
+          batch: boolean(),
+          columns: boolean()
         }
   @type outcome :: {:ok, [Component.action()], Component.state()} | {:error, Error.t()}
 
   @doc "Builds the component of a vertex, before its `init/1`."
   @spec new(Situ.Graph.Vertex.t()) :: t()
   def new(vertex) do
-    %__MODULE__{
+    note_batches(%__MODULE__{
       module: vertex.module,
       path: vertex.path,
       opts: vertex.opts,
-      on_error: vertex.on_error,
-      batch: function_exported?(vertex.module, :handle_messages, 4)
-    }
+      on_error: vertex.on_error
+    })
+  end
+
+  defp note_batches(%{module: module} = callback) do
+    columns? = function_exported?(module, :handle_columns, 4)
+    batch? = columns? or function_exported?(module, :handle_messages, 4)
+    %{callback | batch: batch?, columns: columns?}
   end
 
   @doc "Initializes the component's state."
@@ -63,8 +73,7 @@ defmodule Situ.Component.Callback do
   @spec replace_component(t(), module(), keyword(), Component.Context.t()) ::
           {:ok, t(), [Component.action()]} | {:error, Error.t()}
   def replace_component(%__MODULE__{} = old, module, opts, context) do
-    batch = function_exported?(module, :handle_messages, 4)
-    new = %{old | module: module, opts: opts, batch: batch}
+    new = note_batches(%{old | module: module, opts: opts})
 
     if function_exported?(module, :migrate, 3),
       do: migrate_state(old, new),
@@ -151,11 +160,19 @@ defmodule Situ.Component.Callback do
       {:error, add_message_info(error, input, message)}
   end
 
-  @doc "Calls `handle_messages/4`; returns `:failed` on any failure, because the messages are then handled one by one."
-  @spec run_handle_messages(t(), atom(), [Message.t()], Component.Context.t()) ::
+  @doc """
+  Calls `handle_columns/4` or `handle_messages/4`; returns `:failed` on any failure, because the messages are then handled
+  one by one.
+  """
+  @spec run_handle_batch(t(), atom(), Batch.t(), Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
-  def run_handle_messages(%__MODULE__{module: module, core: core}, input, messages, context) do
-    case module.handle_messages(input, messages, context, core) do
+  def run_handle_batch(%__MODULE__{module: module, core: core} = callback, input, batch, context) do
+    result =
+      if callback.columns and is_struct(batch, Columns),
+        do: module.handle_columns(input, batch, context, core),
+        else: module.handle_messages(input, Batch.messages(batch), context, core)
+
+    case result do
       {actions, core} when is_list(actions) -> {:ok, actions, core}
       _ -> :failed
     end

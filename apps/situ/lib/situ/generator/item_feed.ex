@@ -3,7 +3,7 @@ defmodule Situ.Generator.ItemFeed do
   # A generator's items, one at a time: `next_item/1` returns `{time, value, feed}` or `:done`. Pure, except for users'
   # enumerables. Times of a paced feed are start, start + interval, ...
 
-  alias Situ.Sampling
+  alias Situ.{Columns, Sampling}
 
   @type t :: {:paced, items(), Situ.Time.t(), Situ.Time.duration()} | {:timed, items()}
   @type items ::
@@ -11,13 +11,14 @@ defmodule Situ.Generator.ItemFeed do
           | {:list, list()}
           | {:range, Range.t()}
           | {:enum, (Enumerable.acc() -> Enumerable.result()) | :done}
+          | {:next, term(), items()}
 
   @doc "Builds a feed of items at an interval, from `start` or the first aligned time after it."
   @spec build_paced(items(), Situ.Time.t(), Situ.Time.duration(), Situ.Time.t() | nil) :: t()
   def build_paced(items, start, interval, align),
     do: {:paced, items, Sampling.first_tick(start, interval, align), interval}
 
-  @doc "Builds a feed of items that contain their times: `{time, value}` or a `Situ.Message`."
+  @doc "Builds a feed of items that contain their times: `{time, value}`, a `Situ.Message` or `Situ.Columns`."
   @spec build_timed(items()) :: t()
   def build_timed(items), do: {:timed, items}
 
@@ -52,31 +53,62 @@ defmodule Situ.Generator.ItemFeed do
       :done -> :done
       {{time, value}, items} when is_integer(time) -> {time, value, {:timed, items}}
       {%Situ.Message{} = m, items} -> {m.originating_time, m.data, {:timed, items}}
+      {%Columns{} = columns, items} -> pop_column(columns, items)
       {other, _items} -> raise no_time_error(other)
     end
   end
 
+  defp pop_column(columns, items) do
+    [{time, value}] = columns |> Columns.slice(0, 1) |> Columns.to_pairs()
+    {time, value, {:timed, put_rest(columns, 1, items)}}
+  end
+
+  defp put_rest(%{count: count}, count, items), do: items
+
+  defp put_rest(%{count: count} = columns, n, items),
+    do: {:next, Columns.slice(columns, n, count - n), items}
+
   @doc """
-  Takes up to `n` items of a paced feed, none of them later than `till`. Returns their times, their values and the rest
-  of the feed; there are none of a feed whose items contain their times.
+  Takes up to `n` items that can be emitted together, none of them earlier than `from` or later than `till`: of a paced
+  feed, or numbers that are columns already. Returns them, how many items were taken, and the rest of the feed.
   """
-  @spec take_paced(t(), pos_integer(), Situ.Time.t() | :infinity) ::
-          {[Situ.Time.t()], [term()], t()}
-  def take_paced({:paced, items, time, interval} = feed, n, till) when time <= till do
+  @spec take_together(t(), pos_integer(), {Situ.Time.t() | nil, Situ.Time.t() | :infinity}) ::
+          {{[Situ.Time.t()], [term()]} | Columns.t() | nil, non_neg_integer(), t()}
+  def take_together({:paced, _items, _time, _interval} = feed, n, {_from, till}),
+    do: take_paced(feed, n, till)
+
+  def take_together({:timed, items}, n, {from, till}) do
+    case take_item(items) do
+      {%Columns{} = columns, items} -> take_columns(columns, items, n, {from, till})
+      {item, items} -> {nil, 0, {:timed, {:next, item, items}}}
+      :done -> {nil, 0, {:timed, {:list, []}}}
+    end
+  end
+
+  defp take_columns(columns, items, n, {from, till}) do
+    early = if from == nil, do: 0, else: Columns.count_until(columns, from - 1)
+    open = if till == :infinity, do: columns.count, else: Columns.count_until(columns, till)
+    taken = min(max(open, early), early + n)
+    found = if taken > early, do: Columns.slice(columns, early, taken - early)
+    {found, taken, {:timed, put_rest(columns, taken, items)}}
+  end
+
+  defp take_paced({:paced, items, time, interval} = feed, n, till) when time <= till do
     n = if interval > 0 and till != :infinity, do: min(n, div(till - time, interval) + 1), else: n
 
     case take_items(items, n) do
       {[], _items} ->
-        {[], [], feed}
+        {nil, 0, feed}
 
       {values, items} ->
-        last = time + (length(values) - 1) * interval
+        count = length(values)
+        last = time + (count - 1) * interval
         times = spread_times(time, last, interval, values)
-        {times, values, {:paced, items, last + interval, interval}}
+        {{times, values}, count, {:paced, items, last + interval, interval}}
     end
   end
 
-  def take_paced(feed, _n, _till), do: {[], [], feed}
+  defp take_paced(feed, _n, _till), do: {nil, 0, feed}
 
   defp spread_times(time, _last, _interval, [_]), do: [time]
   defp spread_times(time, last, interval, _values), do: :lists.seq(time, last, interval)
@@ -124,12 +156,14 @@ defmodule Situ.Generator.ItemFeed do
   defp no_items?({:list, list}), do: list == []
   defp no_items?({:range, range}), do: Enum.empty?(range)
   defp no_items?({:enum, continue}), do: continue == :done
+  defp no_items?({:next, _item, _items}), do: false
 
   @doc "Closes an enumerable that was not read to its end (open files ...)."
   @spec close(t()) :: :ok
   def close({:paced, items, _, _}), do: halt_items(items)
   def close({:timed, items}), do: halt_items(items)
 
+  defp take_item({:next, item, items}), do: {item, items}
   defp take_item({:list, []}), do: :done
   defp take_item({:list, [value | rest]}), do: {value, {:list, rest}}
 
@@ -150,6 +184,8 @@ defmodule Situ.Generator.ItemFeed do
     end
   end
 
+  defp halt_items({:next, _item, items}), do: halt_items(items)
+
   defp halt_items({:enum, continue}) when is_function(continue, 1) do
     continue.({:halt, nil})
     :ok
@@ -160,7 +196,7 @@ defmodule Situ.Generator.ItemFeed do
   defp no_time_error(other) do
     Situ.Error.new(
       :no_time,
-      "expected {time, value} or a message, got: #{inspect(other, limit: 5)}",
+      "expected {time, value}, a message or columns, got: #{inspect(other, limit: 5)}",
       fix: "set every: if the values have no times"
     )
   end

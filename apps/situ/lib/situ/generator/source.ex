@@ -12,6 +12,7 @@ defmodule Situ.Generator.Source do
       keep_open: [type: :boolean, default: false]
     ]
 
+  alias Situ.Columns
   alias Situ.Generator.ItemFeed
 
   # phase: :open, :done (no more items), or an error to raise after the preceding items have been emitted.
@@ -57,7 +58,7 @@ defmodule Situ.Generator.Source do
   def handle_demand(n, context, state) do
     # An atom sorts after every time, so without an end all items are included.
     till = min(context.replay_end, state.final || :infinity)
-    produce_items(n, till, state)
+    produce_items(n, till, state, [])
   end
 
   @impl true
@@ -95,21 +96,28 @@ defmodule Situ.Generator.Source do
   def terminate(_reason, %{feed: nil}), do: :ok
   def terminate(_reason, state), do: ItemFeed.close(state.feed)
 
-  # Items at regular times are emitted together.
-  defp produce_items(n, till, %{ahead: nil} = state) do
-    case ItemFeed.take_paced(state.feed, n, till) do
-      {[], [], feed} ->
-        emit_items(n, till, state, {nil, feed, state.last, state.taken}, [])
+  # Items at regular times, and numbers in columns, are emitted together.
+  defp produce_items(n, till, %{ahead: nil} = state, actions) when n > 0 do
+    {found, taken, feed} = ItemFeed.take_together(state.feed, n, {state.from, till})
+    taken = state.taken + taken
 
-      {times, data, feed} ->
-        count = length(times)
-        reached = {nil, feed, List.last(times), state.taken + count}
-        emit_items(n - count, till, state, reached, [{:out, times, data}])
+    case found do
+      nil ->
+        emit_items(n, till, state, {nil, feed, state.last, taken}, actions)
+
+      {times, data} ->
+        reached = {nil, feed, List.last(times), taken}
+        emit_items(n - length(times), till, state, reached, [{:out, times, data}])
+
+      %Columns{} = columns ->
+        state = put_progress(state, {nil, feed, Columns.last_time(columns), taken})
+        action = {:out, %{columns | creation_times: nil, sequence_id: nil}}
+        produce_items(n - columns.count, till, state, [action | actions])
     end
   end
 
-  defp produce_items(n, till, state),
-    do: emit_items(n, till, state, {state.ahead, state.feed, state.last, state.taken}, [])
+  defp produce_items(n, till, state, actions),
+    do: emit_items(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
 
   # The progress is written to the state once per demand.
   # If the feed is known to have ended, the end is emitted together with the last item.

@@ -2,7 +2,7 @@ defmodule Situ.Ports.Output do
   @moduledoc false
   # One output of a running component: posted messages (see PostingRules), messages that wait for their time, and its
   # subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
-  alias Situ.Message
+  alias Situ.{Columns, Message}
   alias Situ.Delivery.Batch
   alias Situ.Ports.Subscriber
 
@@ -259,6 +259,20 @@ defmodule Situ.Ports.Output do
       }
 
       %{output | pending: [batch | output.pending], pending_n: output.pending_n + n}
+    end
+  end
+
+  @doc "Posts columns that have their envelopes."
+  @spec post_columns(t(), Columns.t()) :: t()
+  def post_columns(%__MODULE__{} = output, columns) do
+    {last, created, id} = Batch.last_stamp(columns)
+    output = %{output | seq: id, last_creation: created, last_time: last}
+
+    if output.subs == [] do
+      output
+    else
+      batch = %{columns | source_id: output.port.source_id}
+      %{output | pending: [batch | output.pending], pending_n: output.pending_n + columns.count}
     end
   end
 

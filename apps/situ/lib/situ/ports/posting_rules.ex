@@ -2,7 +2,7 @@ defmodule Situ.Ports.PostingRules do
   @moduledoc false
   # The posting rules of an output: originating times and sequence ids strictly increase, and creation times never go
   # backwards. Messages ahead of an enforced clock wait. A closed output ignores messages.
-  alias Situ.{Error, Message}
+  alias Situ.{Columns, Error, Message}
   alias Situ.Ports.Output
 
   @compile {:inline, open_part: 3, put_posted: 3, shared_envelope?: 3}
@@ -102,20 +102,20 @@ defmodule Situ.Ports.PostingRules do
   Posts data at increasing times, two lists of the same length, and nothing later than `final`. Returns `:error` if they
   are not such lists.
   """
-  @spec emit_columns(
+  @spec emit_lists(
           Output.t(),
           {[Situ.Time.t(), ...], [term()]},
           Situ.Time.t(),
           boolean(),
           integer() | nil
         ) :: {:ok, Output.t()} | {:error, Error.t()} | :error
-  def emit_columns(output, {times, data}, now, enforce?, final) do
+  def emit_lists(output, {times, data}, now, enforce?, final) do
     cond do
       length(times) != length(data) or not Enum.all?(times, &is_integer/1) ->
         :error
 
       shared_envelope?(output, enforce?, final) ->
-        post_columns(output, times, data, now)
+        post_lists(output, times, data, now)
 
       true ->
         times
@@ -129,7 +129,7 @@ defmodule Situ.Ports.PostingRules do
     end
   end
 
-  defp post_columns(output, [base | _] = times, data, now) do
+  defp post_lists(output, [base | _] = times, data, now) do
     last = :lists.last(times)
     columns = {base, relative_times(times, base, output.last_time || :none), data}
     {:ok, Output.post_results(output, last, columns, now)}
@@ -144,6 +144,35 @@ defmodule Situ.Ports.PostingRules do
     do: [time - base | relative_times(rest, base, time)]
 
   defp relative_times([time | _rest], _base, last), do: throw({:situ_not_increasing, time, last})
+
+  @doc """
+  Posts columns, as a whole if possible. Columns with a sequence id keep the envelopes of their messages, except for the
+  source id.
+  """
+  @spec emit_columns(Output.t(), Columns.t(), Situ.Time.t(), boolean(), Situ.Time.t() | nil) ::
+          {:ok, Output.t()} | {:error, Error.t()} | :error
+  def emit_columns(output, %Columns{sequence_id: nil} = columns, now, enforce?, final) do
+    if shared_envelope?(output, enforce?, final) do
+      created = Output.creation_time(output, now)
+      post_columns(output, %{columns | creation_times: created, sequence_id: output.seq + 1})
+    else
+      emit_lists(output, {Columns.times(columns), Columns.values(columns)}, now, enforce?, final)
+    end
+  end
+
+  def emit_columns(output, columns, now, enforce?, _final) do
+    if shared_envelope?(output, enforce?, nil) and columns.sequence_id > output.seq and
+         Columns.creation_ordered?(columns, output.last_creation),
+       do: post_columns(output, columns),
+       else: forward_all(output, Columns.messages(columns), now, enforce?)
+  end
+
+  defp post_columns(%{last_time: last} = output, columns) do
+    case Columns.find_unordered(columns, last) do
+      nil -> {:ok, Output.post_columns(output, columns)}
+      {time, before} -> {:error, not_increasing(%{output | last_time: before}, time)}
+    end
+  end
 
   # Messages that are posted now, without looking at each: they share an envelope.
   defp shared_envelope?(

@@ -1,7 +1,7 @@
 defmodule Situ.Stage.ActionRunner do
   @moduledoc false
   # Applies a component's actions to its step: all of them, or none if one is invalid.
-  alias Situ.{Error, Message}
+  alias Situ.{Columns, Error, Message}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Dispatcher, Inputs, Output, Outputs, PostingRules}
@@ -30,11 +30,25 @@ defmodule Situ.Stage.ActionRunner do
     %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
 
     with {:ok, output} <- fetch_output(step, name),
-         {:ok, output} <- PostingRules.emit_columns(output, {times, data}, now, enforced?, final),
+         {:ok, output} <- PostingRules.emit_lists(output, {times, data}, now, enforced?, final),
          :ok <- PostingRules.check_range(output, first) do
       apply_actions(put_output(step, output), rest)
     else
       :error -> {:error, bad_action(step, {name, times, data})}
+      error -> error
+    end
+  end
+
+  def apply_actions(step, [{name, %Columns{} = columns} | rest]) when is_atom(name) do
+    %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
+
+    with {:ok, output} <- fetch_output(step, name),
+         :ok <- Columns.validate(columns),
+         {:ok, output} <- PostingRules.emit_columns(output, columns, now, enforced?, final),
+         :ok <- PostingRules.check_range(output, Columns.first_time(columns)) do
+      apply_actions(put_output(step, output), rest)
+    else
+      :error -> {:error, bad_action(step, {name, columns})}
       error -> error
     end
   end

@@ -1,6 +1,7 @@
 defmodule Situ.Stage.BatchRunner do
   @moduledoc false
-  # Runs several messages together through a step: through a component with `handle_messages/4`, or a chain.
+  # Runs several messages together through a step: through a component with `handle_messages/4` or
+  # `handle_columns/4`, or a chain.
   alias Situ.Component.Callback
   alias Situ.Delivery.Batch
   alias Situ.Operator.Chain
@@ -38,17 +39,14 @@ defmodule Situ.Stage.BatchRunner do
   end
 
   defp call_batch(%{worker: worker} = step, %{name: name, tag: tag}, batch, started) do
-    messages = Batch.messages(batch)
-
-    with {:ok, actions, core} <-
-           Callback.run_handle_messages(worker, name, messages, step.context),
+    with {:ok, actions, core} <- Callback.run_handle_batch(worker, name, batch, step.context),
          {:ok, step} <- CallbackRunner.try_result(step, core, actions) do
       {:more, count_batch(step, Map.fetch!(step.inputs.by_tag, tag), {batch, nil}, started)}
     else
       # All messages are handled one by one, before another batch is tried.
       _error ->
         input = Input.put_back(Map.fetch!(step.inputs.by_tag, tag), batch)
-        work = %{step.work | singly: length(messages)}
+        work = %{step.work | singly: Batch.size(batch)}
         {:more, Step.put_input(%{step | work: work}, input)}
     end
   end

@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Columnar do
   # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md.
   alias Situ.Bridge.Columnar.{Column, Join, Reader, Rows}
   alias Situ.{Error, Store}
-  alias Situ.Store.Columns
+  alias Situ.Columns
   require Logger
 
   @times [

@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Format do
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack, StoreFormat}
   alias Situ.Error
-  alias Situ.Store.Columns
+  alias Situ.Columns
 
   @type name :: :json | :json_lines | :csv | :message_pack | :situ
   @type timed :: {Situ.Time.t(), value :: term()}
@@ -48,7 +48,7 @@ defmodule Situ.Bridge.Format do
   @doc "Returns the position after the first record of a file. Only formats with a heading implement it."
   @callback first_position(value :: term()) :: position()
   @doc "Encodes the records of plain numbers; for formats that can encode many of them faster in one call."
-  @callback columns(Situ.Store.Columns.t(), position()) :: iodata()
+  @callback columns(Situ.Columns.t(), position()) :: iodata()
   @doc "Returns the end of a file."
   @callback finish(position()) :: iodata()
   @doc "Returns the state before the first byte of a file."

@@ -63,7 +63,7 @@ defmodule Situ.Bridge.FormatTest do
       times = for i <- 1..length(values)//1, do: first + i * 33_333_300
       messages = for {value, time} <- Enum.zip(values, times), do: message(value, time)
 
-      columns = %Situ.Store.Columns{
+      columns = %Situ.Columns{
         kind: kind,
         count: length(values),
         times: column(:integer, times),

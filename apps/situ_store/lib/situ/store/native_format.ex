@@ -4,12 +4,11 @@ defmodule Situ.Store.NativeFormat do
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 
-  alias Situ.Error
+  alias Situ.{Columns, Error}
   alias Situ.Store.CatalogCache
   alias Situ.Store.Summary.Bins
 
   alias Situ.Store.{
-    Columns,
     NativeErrors,
     Folder,
     Native,

@@ -204,7 +204,7 @@ defmodule Situ.Store.HostileTest do
     error in Situ.Error -> error.code
   end
 
-  defp pairs(%Store.Columns{} = columns), do: Store.Columns.to_pairs(columns)
+  defp pairs(%Situ.Columns{} = columns), do: Situ.Columns.to_pairs(columns)
   defp pairs(messages), do: for(m <- messages, do: {m.originating_time, m.data})
 
   # Reads the store that `make` writes, `rounds` times, and checks memory and atoms. Returns the results and the

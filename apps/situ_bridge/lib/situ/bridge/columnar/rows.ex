@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Columnar.Rows do
   # or bytes are written as JSON. Pure.
   alias Situ.Bridge.Columnar.Column
   alias Situ.Bridge.Format.Value
-  alias Situ.Store.Columns
+  alias Situ.Columns
 
   @special_floats [:nan, :infinity, :neg_infinity]
   @max_columns 1_000

@@ -1,9 +1,9 @@
-defmodule Situ.Store.Columns.PartReader do
+defmodule Situ.Store.PartReader do
   @moduledoc false
   # Reads a stream in parts: columns for plain numbers, lists of messages for everything else.
-  alias Situ.{Message, Options}
+  alias Situ.{Columns, Message, Options}
   alias Situ.Recording
-  alias Situ.Store.{Columns, Query, StreamInfo}
+  alias Situ.Store.{Query, StreamInfo}
 
   @options Keyword.take(Query.message_options(), [:from, :to, :index, :skip_damage])
 

@@ -1,10 +1,9 @@
-defmodule Situ.Store.ColumnsTest do
+defmodule Situ.Store.PartReaderTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{Message, Store}
-  alias Situ.Store.{Columns, Writer}
-
-  doctest Situ.Store.Columns
+  alias Situ.Columns
+  alias Situ.Store.Writer
 
   @moduletag :tmp_dir
 

@@ -1,0 +1,45 @@
+defmodule Situ.Operator.ColumnFunction do
+  @moduledoc false
+  # The component of `Situ.map/3` and `Situ.each/3` with `columns: true`. Numbers that arrive as messages become columns
+  # first; their envelopes are renewed by the output, as those of other operators.
+  use Situ.Component,
+    share_process: true,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [
+      fun: [type: {:fun, 1}, required: true],
+      replace: [type: :boolean, default: true, doc: "Whether the function returns new values."]
+    ]
+
+  alias Situ.Columns
+
+  @impl true
+  def init(opts), do: {:ok, {opts[:fun], opts[:replace]}}
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, state) do
+    {times, values} = messages |> Enum.map(&{&1.originating_time, &1.data}) |> Enum.unzip()
+    {[{:out, call_function(Columns.new(times, values), state)}], state}
+  end
+
+  @impl true
+  def handle_columns(:in, columns, _context, state),
+    do: {[{:out, call_function(columns, state)}], state}
+
+  defp call_function(columns, {fun, replace?}) do
+    result = fun.(columns)
+    columns = if replace?, do: replace_values(columns, result), else: columns
+    %{columns | creation_times: nil, sequence_id: nil}
+  end
+
+  defp replace_values(columns, {kind, values}), do: Columns.put_values(columns, values, kind)
+
+  defp replace_values(columns, %Columns{} = new),
+    do: Columns.put_values(columns, new.values, new.kind)
+
+  defp replace_values(columns, values), do: Columns.put_values(columns, values)
+end
