@@ -32,6 +32,10 @@ impl Kind {
 pub struct Columns {
     /// The number of messages.
     pub count: u64,
+    /// The sequence id of the first message.
+    pub first_sequence: u64,
+    /// Whether a sequence id is missing, so that the first one does not tell the others.
+    pub gaps: bool,
     /// Originating times, `i64`, little-endian.
     pub times: Vec<u8>,
     /// Creation times, `i64`, little-endian.
@@ -144,6 +148,10 @@ fn read_chunk_columns(
         if envelope.time > to {
             break;
         }
+        if target.count == 0 {
+            target.first_sequence = envelope.sequence;
+        }
+        target.gaps |= envelope.sequence != target.first_sequence.wrapping_add(target.count);
         match value {
             Value::Int(value) => target.values.extend_from_slice(&value.to_le_bytes()),
             Value::Float(value) if value.is_finite() => {

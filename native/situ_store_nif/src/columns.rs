@@ -9,7 +9,8 @@ use crate::reading::Handle;
 use crate::terms::encode_binary;
 
 /// Returns plain numbers from `ordinal` on, no later than `to`, from about `bytes` of the store: `{:ok, {kind,
-/// count, times, creation_times, values}, next}`, `:others` if the next messages are not plain numbers, or
+/// count, times, creation_times, values, first_sequence}, next}`
+/// (the last is `nil` if a sequence id is missing), `:others` if the next messages are not plain numbers, or
 /// `:ended`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_columns<'a>(
@@ -40,7 +41,8 @@ fn reader_columns<'a>(
             let times = encode_binary(env, &columns.times);
             let creations = encode_binary(env, &columns.creations);
             let values = encode_binary(env, &columns.values);
-            let found = (kind, columns.count, times, creations, values);
+            let sequence = (!columns.gaps).then_some(columns.first_sequence);
+            let found = (kind, columns.count, times, creations, values, sequence);
             (atoms::ok(), found, next).encode(env)
         }
         Ok(ColumnResult::Others) => atoms::others().encode(env),

@@ -8,9 +8,11 @@ use rustler::types::list::ListIterator;
 use rustler::{Atom, Binary, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
 use situ_store::reader::lock_mutex;
 use situ_store::writer::{Draft, Drafts, Durability};
-use situ_store::{Compression, Options, Writer};
+use situ_store::{Compression, Encoding, Options, Writer};
 
-use crate::inputs::{add_to_draft, append_batches, append_runs, AppendError};
+use crate::inputs::{
+    add_columns_to_draft, add_to_draft, append_batches, append_runs, AppendError, CreationTimes,
+};
 use crate::paths::FilePath;
 use crate::{atoms, errors};
 
@@ -136,6 +138,33 @@ fn draft_add<'a>(env: Env<'a>, draft: ResourceArc<DraftResource>, messages: Term
         }
         None => atoms::refused().encode(env),
     }
+}
+
+/// Adds columns of plain numbers to a draft, and returns as `draft_add` does.
+#[rustler::nif]
+fn draft_add_columns<'a>(
+    env: Env<'a>,
+    draft: ResourceArc<DraftResource>,
+    kind: Atom,
+    columns: (Binary<'a>, Binary<'a>),
+    creation_times: CreationTimes<'a>,
+    first_id: u64,
+) -> NifResult<Term<'a>> {
+    let encoding = match kind {
+        kind if kind == atoms::integer() => Encoding::Int,
+        kind if kind == atoms::float() => Encoding::Float,
+        kind if kind == atoms::boolean() => Encoding::Bool,
+        _ => return Err(NifError::BadArg),
+    };
+    let columns = (columns.0.as_slice(), columns.1.as_slice());
+    let added = add_columns_to_draft(&draft.0, encoding, columns, &creation_times, first_id);
+    Ok(match added {
+        Some((added, size)) => {
+            rustler::schedule::consume_timeslice(env, (added / 400).clamp(1, 100) as i32);
+            (size.messages, size.bytes).encode(env)
+        }
+        None => atoms::refused().encode(env),
+    })
 }
 
 /// Returns for how many milliseconds the oldest message of a draft has waited, or `nil`.

@@ -89,8 +89,8 @@ defmodule Situ.Component do
   @doc """
   Handles many numbers from `input` as columns, with the same result as calling `handle_message/4` for each.
 
-  Optional. It is called if the component that emits the stream emits `Situ.Columns`; other messages arrive one by one,
-  or through `c:handle_messages/4`, for which the same rules apply.
+  Optional. It is called for plain numbers of one kind that were emitted together. Other messages arrive one by one, or
+  through `c:handle_messages/4`, for which the same rules apply.
   """
   @callback handle_columns(input :: atom(), Situ.Columns.t(), Context.t(), state()) :: result()
 

@@ -85,12 +85,17 @@ defmodule Situ.Recording do
               | :none
               | error()
   @doc """
-  Reads plain numbers at or before `to`, starting at `ordinal`, as columns of several thousand messages, and returns
+  Reads plain numbers at or before `to`, starting at `ordinal`, as columns from about `bytes` of the file, and returns
   them with the next ordinal. Returns `:others` if the next messages are not plain numbers, or `:ended` if there are
   none.
   """
-  @callback columns(state(), StreamInfo.t(), ordinal :: non_neg_integer(), to :: Situ.Time.t()) ::
-              {:ok, Situ.Columns.t(), non_neg_integer()} | :others | :ended | error()
+  @callback columns(
+              state(),
+              StreamInfo.t(),
+              ordinal :: non_neg_integer(),
+              to :: Situ.Time.t(),
+              bytes :: pos_integer()
+            ) :: {:ok, Situ.Columns.t(), non_neg_integer()} | :others | :ended | error()
   @doc "Returns spans of at least `least` ns without a message."
   @callback gaps(state(), StreamInfo.t(), least :: Situ.Time.duration()) ::
               [{Situ.Time.t(), Situ.Time.t()}]
@@ -119,7 +124,7 @@ defmodule Situ.Recording do
                       count: 2,
                       summary: 5,
                       tracks: 6,
-                      columns: 4,
+                      columns: 5,
                       gaps: 3,
                       append_streams: 4,
                       missing_files: 1,

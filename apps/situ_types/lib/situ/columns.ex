@@ -25,13 +25,13 @@ defmodule Situ.Columns do
   | `source_id` | the output that emitted the messages |
 
   A component that emits columns leaves `creation_times` and `sequence_id` at `nil`: the pipeline sets them, as for any
-  other message.
+  other message. `checked` is for the pipeline, so that it checks the same times and values only once.
   """
 
   alias Situ.{Error, Message}
 
   @enforce_keys [:kind, :count, :times, :values]
-  defstruct [:kind, :count, :times, :values, :creation_times, :sequence_id, source_id: 0]
+  defstruct [:kind, :count, :times, :values, :creation_times, :sequence_id, :checked, source_id: 0]
 
   @type kind :: :integer | :float | :boolean
   @type t :: %__MODULE__{
@@ -41,7 +41,8 @@ defmodule Situ.Columns do
           values: binary(),
           creation_times: binary() | Situ.Time.t() | nil,
           sequence_id: non_neg_integer() | nil,
-          source_id: non_neg_integer()
+          source_id: non_neg_integer(),
+          checked: {times :: binary(), values :: binary()} | nil
         }
   @type value :: integer() | float() | boolean()
 
@@ -59,6 +60,17 @@ defmodule Situ.Columns do
       %__MODULE__{kind: kind, count: div(byte_size(times), 8), times: times, values: values}
     else
       {:error, value} -> raise mixed_error(value)
+    end
+  end
+
+  @doc false
+  # Builds columns of the lists of a batch: times relative to `base`, and data of which the type is not known.
+  @spec pack_lists(Situ.Time.t(), [integer(), ...], [term(), ...]) :: {:ok, t()} | {:error, term()}
+  def pack_lists(base, times, [value | _] = values) do
+    with {:ok, kind} <- value_kind(value), {:ok, values} <- pack_values(kind, values) do
+      times = for dt <- times, into: <<>>, do: <<base + dt::little-signed-64>>
+      count = div(byte_size(times), 8)
+      {:ok, mark_checked(%__MODULE__{kind: kind, count: count, times: times, values: values})}
     end
   end
 
@@ -169,14 +181,14 @@ defmodule Situ.Columns do
     kind = kind || columns.kind
 
     if byte_size(values) == columns.count * value_width(kind) and valid?(kind, values),
-      do: %{columns | kind: kind, values: values},
+      do: put_checked(%{columns | kind: kind, values: values}, times_checked?(columns)),
       else: raise(bytes_error(columns, values, kind))
   end
 
   def put_values(%__MODULE__{count: count} = columns, [value | _] = values, _kind)
       when length(values) == count do
     with {:ok, kind} <- value_kind(value), {:ok, values} <- pack_values(kind, values) do
-      %{columns | kind: kind, values: values}
+      put_checked(%{columns | kind: kind, values: values}, times_checked?(columns))
     else
       {:error, value} -> raise mixed_error(value)
     end
@@ -193,7 +205,7 @@ defmodule Situ.Columns do
     width = value_width(columns.kind)
     id = columns.sequence_id
 
-    %{
+    slice = %{
       columns
       | count: count,
         times: binary_part(columns.times, from * 8, count * 8),
@@ -201,6 +213,8 @@ defmodule Situ.Columns do
         creation_times: slice_times(columns.creation_times, from, count),
         sequence_id: if(id, do: id + from)
     }
+
+    put_checked(slice, checked?(columns))
   end
 
   defp slice_times(times, from, count) when is_binary(times),
@@ -222,7 +236,8 @@ defmodule Situ.Columns do
         times: first.times <> second.times,
         values: first.values <> second.values,
         creation_times: if(follows?, do: creation_bytes(first) <> creation_bytes(second)),
-        sequence_id: if(follows?, do: first.sequence_id)
+        sequence_id: if(follows?, do: first.sequence_id),
+        checked: nil
     }
   end
 
@@ -258,16 +273,34 @@ defmodule Situ.Columns do
 
   @doc "Returns the first time that is not later than the one before it (the first: than `last`), or `nil`."
   @spec find_unordered(t(), Situ.Time.t() | nil) :: {Situ.Time.t(), Situ.Time.t()} | nil
-  def find_unordered(%__MODULE__{times: times}, last) do
+  def find_unordered(%__MODULE__{times: times} = columns, last) do
     <<first::little-signed-64, rest::binary>> = times
 
-    if last != nil and first <= last do
-      {first, last}
-    else
-      <<low::little-32, high::little-signed-32, _::binary>> = times
-      find_unordered(rest, high, low)
+    cond do
+      last != nil and first <= last ->
+        {first, last}
+
+      checked?(columns) ->
+        nil
+
+      true ->
+        <<low::little-32, high::little-signed-32, _::binary>> = times
+        find_unordered(rest, high, low)
     end
   end
+
+  @doc "Notes that the times and values have been checked."
+  @spec mark_checked(t()) :: t()
+  def mark_checked(%__MODULE__{} = columns), do: put_checked(columns, true)
+
+  defp put_checked(columns, true), do: %{columns | checked: {columns.times, columns.values}}
+  defp put_checked(columns, false), do: %{columns | checked: nil}
+
+  defp checked?(%{checked: {times, values}, times: times, values: values}), do: true
+  defp checked?(_columns), do: false
+
+  defp times_checked?(%{checked: {times, _values}, times: times}), do: true
+  defp times_checked?(_columns), do: false
 
   # Halves of 32 bits are small integers of the VM; nanoseconds since 1970 are not.
   defp find_unordered(<<low::little-32, high::little-signed-32, rest::binary>>, before, below) do
@@ -301,8 +334,8 @@ defmodule Situ.Columns do
   def validate(%__MODULE__{kind: kind, count: count, times: times, values: values} = columns)
       when kind in [:integer, :float, :boolean] and is_integer(count) and count > 0 and
              is_binary(times) and byte_size(times) == count * 8 and is_binary(values) do
-    if byte_size(values) == count * value_width(kind) and valid?(kind, values) and
-         valid_envelope?(columns),
+    if byte_size(values) == count * value_width(kind) and valid_envelope?(columns) and
+         (checked?(columns) or valid?(kind, values)),
        do: :ok,
        else: {:error, fields_error(columns)}
   end
@@ -322,21 +355,27 @@ defmodule Situ.Columns do
   defp value_kind(value) when is_boolean(value), do: {:ok, :boolean}
   defp value_kind(value), do: {:error, value}
 
-  defp pack_values(kind, values) do
-    case Enum.find_index(values, &(not fits?(kind, &1))) do
-      nil -> {:ok, for(value <- values, into: <<>>, do: pack_value(kind, value))}
-      index -> {:error, Enum.at(values, index)}
-    end
-  end
+  defp pack_values(:integer, values), do: pack_integers(values, <<>>)
+  defp pack_values(:float, values), do: pack_floats(values, <<>>)
+  defp pack_values(:boolean, values), do: pack_booleans(values, <<>>)
 
-  defp fits?(:integer, n), do: is_integer(n) and n >= @least and n <= @most
-  defp fits?(:float, x), do: is_float(x)
-  defp fits?(:boolean, b), do: is_boolean(b)
+  defp pack_integers([n | rest], bytes) when is_integer(n) and n >= @least and n <= @most,
+    do: pack_integers(rest, <<bytes::binary, n::little-signed-64>>)
 
-  defp pack_value(:integer, n), do: <<n::little-signed-64>>
-  defp pack_value(:float, x), do: <<x::little-float-64>>
-  defp pack_value(:boolean, true), do: <<1>>
-  defp pack_value(:boolean, false), do: <<0>>
+  defp pack_integers(rest, bytes), do: packed(rest, bytes)
+
+  defp pack_floats([x | rest], bytes) when is_float(x),
+    do: pack_floats(rest, <<bytes::binary, x::little-float-64>>)
+
+  defp pack_floats(rest, bytes), do: packed(rest, bytes)
+
+  defp pack_booleans([b | rest], bytes) when is_boolean(b),
+    do: pack_booleans(rest, <<bytes::binary, if(b, do: 1, else: 0)>>)
+
+  defp pack_booleans(rest, bytes), do: packed(rest, bytes)
+
+  defp packed([], bytes), do: {:ok, bytes}
+  defp packed([value | _rest], _bytes), do: {:error, value}
 
   defp value_width(:boolean), do: 1
   defp value_width(_kind), do: 8

@@ -2,7 +2,7 @@ defmodule Situ.Component.Callback do
   @moduledoc false
   # A component and the calls to its callbacks. Every result or exception becomes a value. This module does not depend
   # on processes.
-  alias Situ.{Columns, Component, Error, Message}
+  alias Situ.{Component, Error, Message}
   alias Situ.Component.FunctionSwap
   alias Situ.Delivery.Batch
 
@@ -167,10 +167,13 @@ defmodule Situ.Component.Callback do
   @spec run_handle_batch(t(), atom(), Batch.t(), Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
   def run_handle_batch(%__MODULE__{module: module, core: core} = callback, input, batch, context) do
+    columns = if callback.columns, do: Batch.columns(batch), else: :error
+
     result =
-      if callback.columns and is_struct(batch, Columns),
-        do: module.handle_columns(input, batch, context, core),
-        else: module.handle_messages(input, Batch.messages(batch), context, core)
+      case columns do
+        {:ok, columns} -> module.handle_columns(input, columns, context, core)
+        :error -> module.handle_messages(input, Batch.messages(batch), context, core)
+      end
 
     case result do
       {actions, core} when is_list(actions) -> {:ok, actions, core}

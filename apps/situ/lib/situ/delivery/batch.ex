@@ -113,6 +113,22 @@ defmodule Situ.Delivery.Batch do
       source_id: source_id
     }
 
+  @doc "Returns numbers of one kind as columns, or `:error`."
+  @spec columns(t()) :: {:ok, Columns.t()} | :error
+  def columns(%Columns{} = columns), do: {:ok, columns}
+
+  def columns(%__MODULE__{created: created, first_id: id, source_id: source} = batch) do
+    case Columns.pack_lists(batch.base, batch.times, batch.data) do
+      {:ok, columns} ->
+        {:ok, %{columns | creation_times: created, sequence_id: id, source_id: source}}
+
+      {:error, _value} ->
+        :error
+    end
+  end
+
+  def columns(_messages), do: :error
+
   @doc "Takes the first message; the rest is `nil` after the last one."
   @spec pop(t()) :: {Message.t(), t() | nil}
   def pop(%__MODULE__{times: [dt | times], data: [data | rest], first_id: id} = batch) do

@@ -271,7 +271,7 @@ defmodule Situ.Ports.Output do
     if output.subs == [] do
       output
     else
-      batch = %{columns | source_id: output.port.source_id}
+      batch = Columns.mark_checked(%{columns | source_id: output.port.source_id})
       %{output | pending: [batch | output.pending], pending_n: output.pending_n + columns.count}
     end
   end

@@ -6,7 +6,7 @@ defmodule Situ.Stage.Production do
   alias Situ.Ports.{ErrorCounters, Output, Outputs}
   alias Situ.Stage.{ActionRunner, CallbackRunner, ErrorPolicy, SourceState, Step}
 
-  @most 1_000
+  @most 4_096
   # Not beyond the clock if it is enforced, because messages ahead of it have to be held.
   @most_ahead 8
 

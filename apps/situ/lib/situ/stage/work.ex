@@ -4,7 +4,7 @@ defmodule Situ.Stage.Work do
 
   @quick_ns 100_000
   @slow_ns 1_000_000
-  @most 512
+  @most 4_096
 
   defstruct slice: 16,
             continue: :none,

@@ -26,6 +26,7 @@ defmodule Situ.Store.Native do
   def writer_sync(_writer), do: missing()
   def writer_close(_writer), do: missing()
   def draft_add(_draft, _messages), do: missing()
+  def draft_add_columns(_draft, _kind, _columns, _creation_times, _first_id), do: missing()
   def draft_waiting(_draft), do: missing()
   def draft_commit(_writer, _draft, _all), do: missing()
   def reader_open(_path, _verify_large, _max_unpacked), do: missing()

@@ -151,18 +151,17 @@ defmodule Situ.Store.NativeFormat do
     end
   end
 
-  @column_bytes 1024 * 1024
-
   @impl true
-  def columns(state, info, ordinal, to) do
-    case Native.reader_columns(state.ref, info.id, ordinal, clamp_time(to), @column_bytes) do
-      {:ok, {kind, count, times, creation_times, values}, next} ->
+  def columns(state, info, ordinal, to, bytes) do
+    case Native.reader_columns(state.ref, info.id, ordinal, clamp_time(to), bytes) do
+      {:ok, {kind, count, times, creation_times, values, first_id}, next} ->
         columns = %Columns{
           kind: kind,
           count: count,
           times: times,
           creation_times: creation_times,
-          values: values
+          values: values,
+          sequence_id: first_id
         }
 
         {:ok, columns, next}

@@ -5,6 +5,9 @@ defmodule Situ.Store.PartReader do
   alias Situ.Recording
   alias Situ.Store.{Query, StreamInfo}
 
+  # So many bytes of a file are read together.
+  @bytes 1024 * 1024
+
   @options Keyword.take(Query.message_options(), [:from, :to, :index, :skip_damage])
 
   @spec column_options() :: Options.schema()
@@ -40,8 +43,8 @@ defmodule Situ.Store.PartReader do
           {:ok, Columns.t() | [Message.t()], non_neg_integer()} | {:error, Situ.Error.t()}
   defp read_part(store, info, ordinal, to, opts) do
     found =
-      if Recording.implements?(store, :columns, 4),
-        do: store.module.columns(store.state, info, ordinal, to),
+      if Recording.implements?(store, :columns, 5),
+        do: store.module.columns(store.state, info, ordinal, to, @bytes),
         else: :others
 
     case found do

@@ -22,6 +22,7 @@ defmodule Situ.Store.Sink do
       ]
     ]
 
+  alias Situ.Columns
   alias Situ.Store.{Rotation, SharedWriter, StreamDraft, Writer}
   alias Situ.Store.Rotation.SplitPoint
 
@@ -81,6 +82,19 @@ defmodule Situ.Store.Sink do
 
   def handle_messages(:in, messages, _context, state), do: write_messages(messages, state)
 
+  # Numbers go to the draft as they are. The other ways of writing take messages.
+  @impl true
+  def handle_columns(:in, columns, context, %{draft: draft, envelopes: envelopes?} = state) do
+    if draft == nil or envelopes? or state.pass do
+      handle_messages(:in, Columns.messages(columns), context, state)
+    else
+      case StreamDraft.add_columns(draft, columns) do
+        :refused -> handle_messages(:in, Columns.messages(columns), context, state)
+        size -> commit_large_draft(size, state)
+      end
+    end
+  end
+
   defp write_messages(messages, %{rotation: {_, cut, _, _}} = state) do
     messages
     |> Enum.map(&{SplitPoint.segment_number(cut, &1.originating_time), &1})
@@ -128,18 +142,22 @@ defmodule Situ.Store.Sink do
 
   defp collect_messages(messages, %{draft: draft} = state) do
     case StreamDraft.add(draft, messages) do
-      {count, bytes} when count >= @most_in_draft or bytes >= @draft_bytes ->
-        unwrap!(StreamDraft.commit(draft))
-        {[], state}
-
-      {_, _} ->
-        {[], start_timer(state, @flush_ms)}
-
       :refused ->
         unwrap!(commit_draft(state))
         collect_messages(messages, %{state | draft: nil})
+
+      size ->
+        commit_large_draft(size, state)
     end
   end
+
+  defp commit_large_draft({count, bytes}, state)
+       when count >= @most_in_draft or bytes >= @draft_bytes do
+    unwrap!(StreamDraft.commit(state.draft))
+    {[], state}
+  end
+
+  defp commit_large_draft(_size, state), do: {[], start_timer(state, @flush_ms)}
 
   defp start_timer(%{timer: nil} = state, ms),
     do: %{state | timer: Process.send_after(self(), :flush, ms)}

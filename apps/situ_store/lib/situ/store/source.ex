@@ -17,7 +17,7 @@ defmodule Situ.Store.Source do
       to: [type: :any, default: :unbounded]
     ]
 
-  alias Situ.{Clock, Pipeline}
+  alias Situ.{Clock, Columns, Pipeline, Recording}
   alias Situ.Store.{Envelopes, SchemaEvolution, Playhead, Query}
 
   defstruct [
@@ -29,8 +29,10 @@ defmodule Situ.Store.Source do
     :last,
     live: false,
     ordinal: 0,
-    # Messages that were read but not requested yet, and their number.
+    # Messages (or columns) that were read but not requested yet, and their number.
     buffer: {[], 0},
+    # Whether numbers may be read as columns.
+    columns?: false,
     shift: 0,
     known: 0,
     envelope: {0, -0x7FFFFFFFFFFFFFFF},
@@ -41,6 +43,8 @@ defmodule Situ.Store.Source do
   ]
 
   @tag 1
+  # So many bytes of the file are read together as columns.
+  @bytes 64 * 1024
 
   @impl true
   def init(opts) do
@@ -51,7 +55,8 @@ defmodule Situ.Store.Source do
       info: info,
       upgrade: SchemaEvolution.build_upgrade!(info, opts[:type]),
       live: opts[:live],
-      to: opts[:to]
+      to: opts[:to],
+      columns?: opts[:type] == nil and Recording.implements?(opts[:importer].store, :columns, 5)
     }
 
     {:ok, state}
@@ -128,6 +133,14 @@ defmodule Situ.Store.Source do
   defp max_time(time, nil), do: time
   defp max_time(time, from), do: max(time, from)
 
+  defp emit_buffered(n, %{buffer: {%Columns{} = columns, count}} = state) when n >= count,
+    do: emit_columns(columns, %{state | buffer: {[], 0}})
+
+  defp emit_buffered(n, %{buffer: {%Columns{} = columns, count}} = state) do
+    later = {Columns.slice(columns, n, count - n), count - n}
+    emit_columns(Columns.slice(columns, 0, n), %{state | buffer: later})
+  end
+
   defp emit_buffered(n, %{buffer: {messages, count}} = state) when n >= count,
     do: emit_messages(shift_times(messages, state.shift), %{state | buffer: {[], 0}})
 
@@ -144,6 +157,11 @@ defmodule Situ.Store.Source do
     {[{:out, messages}], %{state | last: last.originating_time, sent: envelope}}
   end
 
+  defp emit_columns(%{sequence_id: id, count: count} = columns, state) do
+    envelope = {id + count - 1, Columns.last_creation_time(columns)}
+    {[{:out, columns}], %{state | last: Columns.last_time(columns), sent: envelope}}
+  end
+
   defp shift_times(messages, 0), do: messages
 
   defp shift_times(messages, shift) do
@@ -158,7 +176,36 @@ defmodule Situ.Store.Source do
 
   defp load_batch(n, context, %{info: %{id: -1}} = state), do: handle_end(n, context, state)
 
-  defp load_batch(n, context, state) do
+  # The enforced clock takes messages one by one.
+  defp load_batch(n, %{enforced?: false} = context, %{columns?: true, shift: 0} = state) do
+    %{store: store} = state.importer
+
+    case store.module.columns(store.state, state.info, state.ordinal, read_limit(state), @bytes) do
+      {:ok, %{count: count} = columns, next} ->
+        if continues?(columns, state.envelope) do
+          envelope = {columns.sequence_id + count - 1, Columns.last_creation_time(columns)}
+          state = %{state | envelope: envelope, ordinal: next, buffer: {columns, count}}
+          emit_buffered(n, state)
+        else
+          load_batch(n, context, %{state | columns?: false})
+        end
+
+      :ended ->
+        load_messages(n, context, state)
+
+      # Reading messages reports damage.
+      _others ->
+        load_batch(n, context, %{state | columns?: false})
+    end
+  end
+
+  defp load_batch(n, context, state), do: load_messages(n, context, state)
+
+  # Other envelopes are changed by `Envelopes.make_monotonic/2`.
+  defp continues?(%{sequence_id: id} = columns, {last, creation}),
+    do: id != nil and id > last and Columns.creation_ordered?(columns, creation)
+
+  defp load_messages(n, context, state) do
     %{store: store, skip_damage: skip?} = state.importer
 
     case Query.read_batch(store, state.info, state.ordinal, read_limit(state), 512,

@@ -4,7 +4,7 @@ defmodule Situ.Store.StreamDraft do
   #
   # Adding messages does not wait for the disk. One commit writes the drafts of all streams, so a store of many slow
   # streams commits once per interval, and not once per stream and interval.
-  alias Situ.{Error, Message}
+  alias Situ.{Columns, Error, Message}
   alias Situ.Store.{Native, NativeErrors, Writer}
 
   @enforce_keys [:stream, :ref]
@@ -23,6 +23,13 @@ defmodule Situ.Store.StreamDraft do
   """
   @spec add(t(), [Message.t()]) :: {non_neg_integer(), non_neg_integer()} | :refused
   def add(draft, messages), do: Native.draft_add(draft.ref, messages)
+
+  @doc "Adds columns with their envelopes, and returns as `add/2` does."
+  @spec add_columns(t(), Columns.t()) :: {non_neg_integer(), non_neg_integer()} | :refused
+  def add_columns(draft, %Columns{creation_times: creations, sequence_id: id} = columns) do
+    parts = {columns.times, columns.values}
+    Native.draft_add_columns(draft.ref, columns.kind, parts, creations, id)
+  end
 
   @doc "Returns for how many milliseconds the oldest message has waited, or `nil` if none waits."
   @spec waiting_ms(t()) :: non_neg_integer() | nil
