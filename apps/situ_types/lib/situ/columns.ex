@@ -31,7 +31,16 @@ defmodule Situ.Columns do
   alias Situ.{Error, Message}
 
   @enforce_keys [:kind, :count, :times, :values]
-  defstruct [:kind, :count, :times, :values, :creation_times, :sequence_id, :checked, source_id: 0]
+  defstruct [
+    :kind,
+    :count,
+    :times,
+    :values,
+    :creation_times,
+    :sequence_id,
+    :checked,
+    source_id: 0
+  ]
 
   @type kind :: :integer | :float | :boolean
   @type t :: %__MODULE__{
@@ -65,7 +74,8 @@ defmodule Situ.Columns do
 
   @doc false
   # Builds columns of the lists of a batch: times relative to `base`, and data of which the type is not known.
-  @spec pack_lists(Situ.Time.t(), [integer(), ...], [term(), ...]) :: {:ok, t()} | {:error, term()}
+  @spec pack_lists(Situ.Time.t(), [integer(), ...], [term(), ...]) ::
+          {:ok, t()} | {:error, term()}
   def pack_lists(base, times, [value | _] = values) do
     with {:ok, kind} <- value_kind(value), {:ok, values} <- pack_values(kind, values) do
       times = for dt <- times, into: <<>>, do: <<base + dt::little-signed-64>>
@@ -82,7 +92,8 @@ defmodule Situ.Columns do
   def from_messages([%Message{data: value} = first | _] = messages) do
     with {:ok, kind} <- value_kind(value),
          {:ok, values} <- pack_values(kind, Enum.map(messages, & &1.data)) do
-      pack = &for(message <- messages, into: <<>>, do: <<Map.fetch!(message, &1)::little-signed-64>>)
+      pack =
+        &for(message <- messages, into: <<>>, do: <<Map.fetch!(message, &1)::little-signed-64>>)
 
       {:ok,
        %__MODULE__{
@@ -172,23 +183,25 @@ defmodule Situ.Columns do
 
   @doc """
   Replaces the values: by a list, or by a binary of as many values of the same kind. Give another kind as the third
-  argument. Raises `Situ.Error` if their number or kind differs, or a float is not finite.
+  argument. The new messages have the same times, and no envelopes yet. Raises `Situ.Error` if the number or kind of
+  values differs, or a float is not finite.
   """
   @spec put_values(t(), binary() | [value()], kind() | nil) :: t()
   def put_values(columns, values, kind \\ nil)
 
-  def put_values(%__MODULE__{} = columns, values, kind) when is_binary(values) do
+  def put_values(%__MODULE__{} = columns, values, kind)
+      when is_binary(values) and kind in [nil, :integer, :float, :boolean] do
     kind = kind || columns.kind
 
     if byte_size(values) == columns.count * value_width(kind) and valid?(kind, values),
-      do: put_checked(%{columns | kind: kind, values: values}, times_checked?(columns)),
+      do: replace_values(columns, kind, values),
       else: raise(bytes_error(columns, values, kind))
   end
 
   def put_values(%__MODULE__{count: count} = columns, [value | _] = values, _kind)
       when length(values) == count do
     with {:ok, kind} <- value_kind(value), {:ok, values} <- pack_values(kind, values) do
-      put_checked(%{columns | kind: kind, values: values}, times_checked?(columns))
+      replace_values(columns, kind, values)
     else
       {:error, value} -> raise mixed_error(value)
     end
@@ -196,6 +209,16 @@ defmodule Situ.Columns do
 
   def put_values(%__MODULE__{} = columns, values, _kind) when is_list(values),
     do: raise(count_error(columns, length(values)))
+
+  defp replace_values(columns, kind, values) do
+    %{drop_envelopes(columns) | kind: kind, values: values}
+    |> put_checked(times_checked?(columns))
+  end
+
+  @doc "Drops creation times and sequence ids: the output that emits the messages sets new ones."
+  @spec drop_envelopes(t()) :: t()
+  def drop_envelopes(%__MODULE__{} = columns),
+    do: %{columns | creation_times: nil, sequence_id: nil}
 
   @doc "Returns the messages `from` (0 is the first) to `from + count - 1`, without copying them."
   @spec slice(t(), non_neg_integer(), pos_integer()) :: t()
@@ -393,15 +416,20 @@ defmodule Situ.Columns do
   defp finite?(<<>>), do: true
 
   defp mixed_error(value) do
-    Error.new(:not_columns, "#{inspect(value, limit: 5, printable_limit: 80)} does not fit into a column",
+    Error.new(
+      :not_columns,
+      "#{inspect(value, limit: 5, printable_limit: 80)} does not fit into a column",
       why: "a column holds integers of 64 bits, floats or booleans, and only one of these kinds",
       fix: "map the stream to numbers of one kind, or work with messages instead of columns"
     )
   end
 
   defp fields_error(columns) do
-    Error.new(:not_columns, "the fields of #{inspect(columns, limit: 3)} do not fit to each other",
-      why: "there are \"count\" times and values, floats are finite, and an envelope is complete or absent",
+    Error.new(
+      :not_columns,
+      "the fields of #{inspect(columns, limit: 3)} do not fit to each other",
+      why:
+        "there are \"count\" times and values, floats are finite, and an envelope is complete or absent",
       fix: "build columns with Situ.Columns.new/2 and put_values/3"
     )
   end

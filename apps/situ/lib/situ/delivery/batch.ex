@@ -3,7 +3,7 @@ defmodule Situ.Delivery.Batch do
   # Messages of one output that travel together. Messages that were created at the same time share one envelope:
   # their times and data are two lists, which cost four words per message instead of fourteen. Messages with
   # different envelopes (from a store or another process) are a list of `Situ.Message`, and numbers may be
-  # `Situ.Columns` with their envelopes.
+  # `Situ.Columns` with their envelopes (docs/adr/0167-numbers-may-travel-as-columns.md).
   #
   # Times are relative to `base`, because nanoseconds since 1970 do not fit into a small integer of the VM.
   alias Situ.{Columns, Message}

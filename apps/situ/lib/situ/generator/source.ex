@@ -111,8 +111,8 @@ defmodule Situ.Generator.Source do
 
       %Columns{} = columns ->
         state = put_progress(state, {nil, feed, Columns.last_time(columns), taken})
-        action = {:out, %{columns | creation_times: nil, sequence_id: nil}}
-        produce_items(n - columns.count, till, state, [action | actions])
+        actions = [{:out, Columns.drop_envelopes(columns)} | actions]
+        produce_items(n - columns.count, till, state, actions)
     end
   end
 

@@ -32,8 +32,7 @@ defmodule Situ.Operator.ColumnFunction do
 
   defp call_function(columns, {fun, replace?}) do
     result = fun.(columns)
-    columns = if replace?, do: replace_values(columns, result), else: columns
-    %{columns | creation_times: nil, sequence_id: nil}
+    if replace?, do: replace_values(columns, result), else: Columns.drop_envelopes(columns)
   end
 
   defp replace_values(columns, {kind, values}), do: Columns.put_values(columns, values, kind)

@@ -11,7 +11,7 @@ defmodule Situ.Ports.OutputTest do
   end
 
   defp post(output, times) do
-    {:ok, output} = PostingRules.emit_columns(output, {times, times}, 0, false, nil)
+    {:ok, output} = PostingRules.emit_lists(output, {times, times}, 0, false, nil)
     Output.flush(output, 0)
   end
 
