@@ -210,7 +210,7 @@ defmodule Situ do
 
   With `columns: true`, plain numbers are computed many at a time, for example by `Nx`:
 
-      iex> double = fn columns -> for <<x::little-signed-64 <- columns.values>>, into: <<>>, do: <<x * 2::little-64>> end
+      iex> double = fn columns -> for n <- Situ.Columns.values(columns), do: n * 2 end
       iex> build = fn p -> p |> Situ.from_enumerable([1, 2, 3], every: 10) |> Situ.map(double, columns: true) end
       iex> Situ.to_list(build)
       [2, 4, 6]

@@ -1,6 +1,7 @@
 //! BEAM glue for situ_store: decode, call, encode. It contains no algorithms.
 
 mod columns;
+mod drafts;
 mod errors;
 mod health;
 mod inputs;

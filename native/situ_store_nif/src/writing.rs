@@ -10,9 +10,8 @@ use situ_store::reader::lock_mutex;
 use situ_store::writer::{Draft, Drafts, Durability};
 use situ_store::{Compression, Encoding, Options, Writer};
 
-use crate::inputs::{
-    add_columns_to_draft, add_to_draft, append_batches, append_runs, AppendError, CreationTimes,
-};
+use crate::drafts::{add_columns_to_draft, add_to_draft, CreationTimes};
+use crate::inputs::{append_batches, append_runs, AppendError};
 use crate::paths::FilePath;
 use crate::{atoms, errors};
 

@@ -300,7 +300,7 @@ defmodule Situ.Pipeline do
   def info(p), do: Client.call!(p, :info)
 
   @doc """
-  Returns the changes to the running pipeline, the newest first: those that wait or are running, and the last hundred
+  Returns the changes to the running pipeline, the newest first: all changes that wait or run, and the last hundred
   that have ended.
 
   Each change has an `id` that grows with the order of the requests, the kind of `change`, its `subject` (a path or the

@@ -15,8 +15,8 @@ defmodule Situ.Selection do
       type: :boolean,
       default: false,
       doc:
-        "The function takes `Situ.Columns`: many messages of plain numbers together. `map/3` expects as many values: a " <>
-          "list, a binary of the same kind, or `{kind, binary}`."
+        "The function takes `Situ.Columns`: many messages of plain numbers together. `map/3` expects as many " <>
+          "values: a list, a binary of the same kind, or `{kind, binary}`."
     ]
   ]
   @reorder [

@@ -130,7 +130,7 @@ defmodule Situ.Fixture.ChangeModel do
   defp skips?(i, {_process, {last, _, _}}, own_source?), do: own_source? and i != last + 1
 
   # An operator that is killed loses nothing. It restarts with a fresh state and handles the messages again that it had
-  # not acknowledged, but does not emit again what it had emitted of them.
+  # not acknowledged, but emits nothing again that it had emitted of them.
   defp find_victim_problem(entries, changes) do
     {_last, resets, problems} =
       Enum.reduce(entries, {new_state(), 0, []}, fn {_, {i, _, _} = state},

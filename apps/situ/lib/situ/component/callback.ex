@@ -161,8 +161,8 @@ defmodule Situ.Component.Callback do
   end
 
   @doc """
-  Calls `handle_columns/4` or `handle_messages/4`; returns `:failed` on any failure, because the messages are then handled
-  one by one.
+  Calls `handle_columns/4` or `handle_messages/4`; returns `:failed` on any failure, because the messages are then
+  handled one by one.
   """
   @spec run_handle_batch(t(), atom(), Batch.t(), Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed

@@ -5,8 +5,8 @@ defmodule Situ.Lifecycle.Operations do
   #   waiting -> running -> applied or refused
   #
   # An operation reads and writes keys: ids of stages, `{:path, path}`, `:graph` (all of it), `:clock`. Two operations
-  # conflict if one of them writes a key that the other one reads or writes. An operation waits for the earlier ones
-  # with which it conflicts; all others run concurrently. The server performs it, whole or not at all, and the caller
+  # conflict if either writes a key that the other reads or writes. An operation waits for earlier operations with
+  # which it conflicts; all others run concurrently. The server performs it, whole or not at all, and the caller
   # receives the reply.
   # See docs/adr/0165-changes-are-operations-in-one-log.md.
   alias Situ.Error

@@ -1,7 +1,7 @@
 defmodule Situ.Operator.ColumnFunction do
   @moduledoc false
   # The component of `Situ.map/3` and `Situ.each/3` with `columns: true`. Numbers that arrive as messages become columns
-  # first; their envelopes are renewed by the output, as those of other operators.
+  # first. Like other operators, it emits messages with new envelopes.
   use Situ.Component,
     share_process: true,
     inputs: [in: :any],

@@ -9,13 +9,15 @@ defmodule Situ.Ports.DemandWindow do
   # With 1,000 messages in flight, a decoder in front of a consumer that took 15 ms per image held
   # 868 MB. With the budget in bytes it held 100 MB.
   # See docs/adr/0011-demand-uses-genstage-messages.md.
-  alias Situ.Delivery
+  alias Situ.{Columns, Delivery}
   alias Situ.Delivery.Batch
 
   @default Delivery.unlimited().window
   @first 8
   @budget 32_000_000
   @least 4
+  # Messages in columns take sixteen bytes, and have a cost for each batch rather than for each message.
+  @columns 8_192
 
   @enforce_keys [:size]
   defstruct [:size, :limit, weigh: false, unweighed: 0, owed: 0]
@@ -66,21 +68,22 @@ defmodule Situ.Ports.DemandWindow do
     do: %__MODULE__{size: limit, owed: owed + limit - size}
 
   @doc "Weighs the data of a batch's first message, which adjusts the window."
-  @spec weigh_data(t(), term()) :: t()
-  def weigh_data(%__MODULE__{weigh: false} = window, _data), do: window
+  @spec weigh_batch(t(), Batch.t()) :: t()
+  def weigh_batch(%__MODULE__{weigh: false} = window, _batch), do: window
+  def weigh_batch(%__MODULE__{size: @columns} = window, %Columns{}), do: window
+  def weigh_batch(%__MODULE__{} = window, %Columns{}), do: resize(window, @columns)
 
-  def weigh_data(%__MODULE__{} = window, data) do
-    case weight(data, window.unweighed) do
-      :unknown ->
-        %{window | unweighed: window.unweighed - 1}
-
-      bytes ->
-        size = div(@budget, max(bytes, 1)) |> max(@least) |> min(@default)
-
-        # When the window grows, demand is sent immediately; when it shrinks, later demand is reduced.
-        owed = window.owed + size - window.size
-        %{window | size: size, owed: owed, unweighed: div(size, 2)}
+  def weigh_batch(%__MODULE__{} = window, batch) do
+    case weight(Batch.first_data(batch), window.unweighed) do
+      :unknown -> %{window | unweighed: window.unweighed - 1}
+      bytes -> resize(window, div(@budget, max(bytes, 1)) |> max(@least) |> min(@default))
     end
+  end
+
+  # When the window grows, demand is sent immediately; when it shrinks, later demand is reduced.
+  defp resize(window, size) do
+    owed = window.owed + size - window.size
+    %{window | size: size, owed: owed, unweighed: div(size, 2)}
   end
 
   # Images and audio are weighed every time, since it costs nothing; other terms once in half a window.

@@ -127,7 +127,7 @@ defmodule Situ.Ports.Input do
 
   def push(%__MODULE__{arrival: {sizes?, nil}} = input, [batch | rest]) do
     if sizes?, do: Counters.count_sizes(input.counters, Batch.data(batch))
-    window = DemandWindow.weigh_data(input.window, Batch.first_data(batch))
+    window = DemandWindow.weigh_batch(input.window, batch)
     push(enter(%{input | window: window}, batch), rest)
   end
 

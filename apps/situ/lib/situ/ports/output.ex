@@ -2,8 +2,9 @@ defmodule Situ.Ports.Output do
   @moduledoc false
   # One output of a running component: posted messages (see PostingRules), messages that wait for their time, and its
   # subscribers. Only `flush/2`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
-  alias Situ.{Columns, Message}
+  alias Situ.Columns.Validation
   alias Situ.Delivery.Batch
+  alias Situ.Message
   alias Situ.Ports.Subscriber
 
   @compile {:inline, subtract: 2, record_posted: 2, record_sent: 1, finish: 1}
@@ -263,7 +264,7 @@ defmodule Situ.Ports.Output do
   end
 
   @doc "Posts columns that have their envelopes."
-  @spec post_columns(t(), Columns.t()) :: t()
+  @spec post_columns(t(), Situ.Columns.t()) :: t()
   def post_columns(%__MODULE__{} = output, columns) do
     {last, created, id} = Batch.last_stamp(columns)
     output = %{output | seq: id, last_creation: created, last_time: last}
@@ -271,7 +272,7 @@ defmodule Situ.Ports.Output do
     if output.subs == [] do
       output
     else
-      batch = Columns.mark_checked(%{columns | source_id: output.port.source_id})
+      batch = Validation.mark_checked(%{columns | source_id: output.port.source_id})
       %{output | pending: [batch | output.pending], pending_n: output.pending_n + columns.count}
     end
   end

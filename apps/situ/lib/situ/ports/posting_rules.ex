@@ -3,6 +3,7 @@ defmodule Situ.Ports.PostingRules do
   # The posting rules of an output: originating times and sequence ids strictly increase, and creation times never go
   # backwards. Messages ahead of an enforced clock wait. A closed output ignores messages.
   alias Situ.{Columns, Error, Message}
+  alias Situ.Columns.Validation
   alias Situ.Ports.Output
 
   @compile {:inline, open_part: 3, put_posted: 3, shared_envelope?: 3}
@@ -162,13 +163,13 @@ defmodule Situ.Ports.PostingRules do
 
   def emit_columns(output, columns, now, enforce?, _final) do
     if shared_envelope?(output, enforce?, nil) and columns.sequence_id > output.seq and
-         Columns.creation_ordered?(columns, output.last_creation),
+         Validation.creation_ordered?(columns, output.last_creation),
        do: post_columns(output, columns),
        else: forward_all(output, Columns.messages(columns), now, enforce?)
   end
 
   defp post_columns(%{last_time: last} = output, columns) do
-    case Columns.find_unordered(columns, last) do
+    case Validation.find_unordered(columns, last) do
       nil -> {:ok, Output.post_columns(output, columns)}
       {time, before} -> {:error, not_increasing(%{output | last_time: before}, time)}
     end

@@ -2,6 +2,7 @@ defmodule Situ.Stage.ActionRunner do
   @moduledoc false
   # Applies a component's actions to its step: all of them, or none if one is invalid.
   alias Situ.{Columns, Error, Message}
+  alias Situ.Columns.Validation
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Dispatcher, Inputs, Output, Outputs, PostingRules}
@@ -43,7 +44,7 @@ defmodule Situ.Stage.ActionRunner do
     %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
 
     with {:ok, output} <- fetch_output(step, name),
-         :ok <- Columns.validate(columns),
+         :ok <- Validation.validate(columns),
          {:ok, output} <- PostingRules.emit_columns(output, columns, now, enforced?, final),
          :ok <- PostingRules.check_range(output, Columns.first_time(columns)) do
       apply_actions(put_output(step, output), rest)

@@ -1,7 +1,7 @@
 defmodule Situ.Window.ByColumns do
   @moduledoc false
-  # The pure core of windows with `with: :columns`: by index, or of the past. A window is a slice of the columns that were
-  # kept, so nothing is copied for each window. Windows are as in ByIndex and Trailing.
+  # The pure core of windows with `with: :columns`: by index, or of the past, as in ByIndex and Trailing. A window is a
+  # slice of the kept columns, so nothing is copied for each window.
   alias Situ.{Columns, Interval}
 
   @enforce_keys [:span, :fun]

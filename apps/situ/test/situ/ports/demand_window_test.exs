@@ -7,7 +7,8 @@ defmodule Situ.Ports.DemandWindowTest do
   test "a throttle limits nothing while both stages share a process, and applies as soon as one leaves" do
     window = DemandWindow.new_local(Situ.Delivery.throttle(2))
     assert window.size == DemandWindow.new(Situ.Delivery.unlimited()).size
-    window = DemandWindow.weigh_data(%{window | owed: 4}, <<0>>)
+    message = %Situ.Message{data: <<0>>, originating_time: 1}
+    window = DemandWindow.weigh_batch(%{window | owed: 4}, [message])
     assert window.size == 1_000
 
     # It owes nothing until its producer has sent as much as was requested above the limit.

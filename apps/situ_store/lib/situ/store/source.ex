@@ -18,6 +18,7 @@ defmodule Situ.Store.Source do
     ]
 
   alias Situ.{Clock, Columns, Pipeline, Recording}
+  alias Situ.Columns.Validation
   alias Situ.Store.{Envelopes, SchemaEvolution, Playhead, Query}
 
   defstruct [
@@ -203,7 +204,7 @@ defmodule Situ.Store.Source do
 
   # Other envelopes are changed by `Envelopes.make_monotonic/2`.
   defp continues?(%{sequence_id: id} = columns, {last, creation}),
-    do: id != nil and id > last and Columns.creation_ordered?(columns, creation)
+    do: id != nil and id > last and Validation.creation_ordered?(columns, creation)
 
   defp load_messages(n, context, state) do
     %{store: store, skip_damage: skip?} = state.importer
