@@ -46,7 +46,7 @@ defmodule Situ.Selection do
     {columns?, opts} = pop_columns(opts)
 
     if columns?,
-      do: attach_columns(stream, "Map", [fun: fun], opts, :number),
+      do: attach_columns(stream, "Map", [fun: fun], opts, :any),
       else: Operator.attach(stream, "Map", {:map, fun}, opts)
   end
 

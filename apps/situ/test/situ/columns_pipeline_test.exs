@@ -26,6 +26,14 @@ defmodule Situ.ColumnsPipelineTest do
     end
   end
 
+  defmodule Switch do
+    # Takes only booleans.
+    use Situ.Component, inputs: [in: :boolean], outputs: [out: :boolean]
+
+    @impl true
+    def handle_message(:in, message, _context, state), do: {[{:out, message}], state}
+  end
+
   # Numbers of one kind at increasing times, and the length of the parts that become columns.
   defp rows do
     number = integer(-(2 ** 60), 2 ** 60)
@@ -124,6 +132,19 @@ defmodule Situ.ColumnsPipelineTest do
     got = run(columns({rows, 700}), &(&1 |> Situ.map(double, columns: true) |> pass.()))
     assert got == for({n, n} <- rows, do: {n, n, 2 * n})
     assert {:counters.get(counts, 1), :counters.get(counts, 2)} == {0, 5_000}
+  end
+
+  test "a function of columns may return another kind" do
+    positive = fn columns -> for x <- Columns.values(columns), do: x > 0 end
+
+    build = fn p ->
+      p
+      |> Situ.from_enumerable([Columns.new([1, 2], [-1.5, 1.5])])
+      |> Situ.map(positive, columns: true)
+      |> Situ.via(Switch)
+    end
+
+    assert {:ok, [%Message{data: false}, %Message{data: true}]} = Situ.collect(build, @replay)
   end
 
   test "a function that fails at a message fails at this message" do
