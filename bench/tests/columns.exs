@@ -67,7 +67,10 @@ defmodule Situ.Bench.Columns do
 
     Situ.Bench.measure(metric, n, "msg/s", fn ->
       {:ok, _} = Pipeline.run(&build.(&1, counter), pipeline: @replay)
-      if :counters.get(counter, 1) != n, do: raise("#{:counters.get(counter, 1)} of #{n} messages")
+
+      if :counters.get(counter, 1) != n,
+        do: raise("#{:counters.get(counter, 1)} of #{n} messages")
+
       []
     end)
   end
