@@ -346,6 +346,16 @@ defmodule Situ.Fixture.LifecycleWorld do
     end
   end
 
+  # A live producer that has closed sends its mark again to a process that replaces a consumer.
+  defp perform({:rewire, id, links}, %{life: life} = world) do
+    for {tag, %{to: ^id, from: from}} <- links,
+        time = life.links.closing[tag],
+        match?(%{alive?: true, open?: false, again?: false}, life.stages[from]),
+        reduce: world do
+      world -> put(world, {:stage, id, {:unsubscribed, id, tag, time}})
+    end
+  end
+
   defp perform({:tell, id, :quit}, world), do: put(world, {:wish, {:kill, id}})
   defp perform({:kill, id}, world), do: put(world, {:wish, {:kill, id}})
 

@@ -107,9 +107,11 @@ defmodule Situ.Store.AcknowledgeTest do
 
   test "after kills of the system, no acknowledged event is missing", %{tmp_dir: root} do
     file = Path.join(root, "acknowledged")
+    # More than a busy machine acknowledges before it is killed.
+    all = Enum.to_list(1..400_000)
 
     for round <- 1..3 do
-      left = Enum.to_list(1..50_000) -- Queue.acknowledged(file)
+      left = all -- Queue.acknowledged(file)
       File.write!(Path.join(root, "left"), :erlang.term_to_binary(left))
       kill_system(root, round * 15)
       acknowledged = MapSet.new(Queue.acknowledged(file))
@@ -117,7 +119,7 @@ defmodule Situ.Store.AcknowledgeTest do
       assert MapSet.subset?(acknowledged, recorded(root))
     end
 
-    refute Queue.acknowledged(file) |> Enum.uniq() |> length() == 50_000
+    refute Queue.acknowledged(file) |> Enum.uniq() |> length() == length(all)
   end
 
   # Runs the pipeline in another system and kills that with SIGKILL, `ms` after its first acknowledgement.
