@@ -89,8 +89,8 @@ defmodule Situ.Component do
   @doc """
   Handles many numbers from `input` as columns, with the same result as calling `handle_message/4` for each.
 
-  Optional. It is called for plain numbers of one kind that were emitted together. Other messages arrive one by one, or
-  through `c:handle_messages/4`, for which the same rules apply.
+  Optional, with the rules of `c:handle_messages/4`. It is called for numbers of one kind that were emitted together;
+  other messages arrive one by one. If the component has both callbacks, it gets columns only if they were emitted so.
   """
   @callback handle_columns(input :: atom(), Situ.Columns.t(), Context.t(), state()) :: result()
 
@@ -175,8 +175,8 @@ defmodule Situ.Component do
 
   @doc """
   Returns whether the component may share a process with neighbouring light operators and components that return true,
-  too. They then take turns, and one that proves slow gets its own process. Such a component receives no plain messages
-  in `handle_info/3`, except its timers.
+  too. They take turns, and a slow one gets its own process. In `handle_info/3`, such a component receives only its
+  timers.
 
   Defined by `use Situ.Component, share_process: true`. Without it, the component has its own process.
   """

@@ -20,7 +20,7 @@ defmodule Situ.Window do
 
   alias Situ.Graph.Placement
   alias Situ.{Argument, Interval, Operator, Stream}
-  alias Situ.Window.{ByColumns, ByIndex, ByStream, ByTime, Component}
+  alias Situ.Window.{ByIndex, ByStream, ByTime, ColumnComponent, Component}
 
   @spec option_schema(:window | :window_by) :: Situ.Options.schema()
   def option_schema(:window), do: @schema
@@ -104,8 +104,8 @@ defmodule Situ.Window do
   defp attach_window(_stream, window, _fun, _rest), do: raise_window!(window)
 
   defp attach_columns(stream, window, fun, {type, placement}) do
-    core = {ByColumns, :new, [window, fun]}
-    Operator.attach_component(stream, "Window", {Component, [core: core]}, placement, type)
+    component = {ColumnComponent, [window: window, fun: fun]}
+    Operator.attach_component(stream, "Window", component, placement, type)
   end
 
   defp past_window!(interval) do

@@ -134,6 +134,36 @@ defmodule Situ.ColumnsPipelineTest do
     assert {:counters.get(counts, 1), :counters.get(counts, 2)} == {0, 5_000}
   end
 
+  defmodule Both do
+    # Reports the form of what arrives.
+    use Situ.Component, inputs: [in: :any], outputs: [out: :any], options: [test: [type: :pid]]
+
+    @impl true
+    def init(opts), do: {:ok, opts[:test]}
+
+    @impl true
+    def handle_messages(:in, messages, _context, test) do
+      send(test, {:messages, length(messages)})
+      {[], test}
+    end
+
+    @impl true
+    def handle_columns(:in, columns, _context, test) do
+      send(test, {:columns, columns.count})
+      {[], test}
+    end
+  end
+
+  test "a component with both callbacks takes numbers as they were emitted" do
+    me = self()
+    build = fn items -> &(&1 |> Situ.from_enumerable(items) |> Situ.via(Both, test: me)) end
+    assert {:ok, []} = Situ.collect(build.([Columns.new([1, 2, 3], [1, 2, 3])]), @replay)
+    assert_received {:columns, 3}
+    assert {:ok, []} = Situ.collect(build.([{1, 1}, {2, 2}, {3, 3}]), @replay)
+    assert_received {:messages, 3}
+    refute_received {:columns, _}
+  end
+
   test "a function of columns may return another kind" do
     positive = fn columns -> for x <- Columns.values(columns), do: x > 0 end
 

@@ -167,7 +167,7 @@ defmodule Situ.SimulationTest do
     end
 
     test "does not count the wait for information about a busy process as a deadlock" do
-      # A process answers `Process.info/2` between calls of such functions only.
+      # While it is in such a function, a process does not answer `Process.info/2`.
       spin = fn began ->
         list = Enum.to_list(1..3_000_000)
         :atomics.put(began, 1, 1)

@@ -1,7 +1,7 @@
 defmodule Situ.Columns do
   @moduledoc """
   Many messages of plain numbers as binary columns: one for the times and one for the values. Computing with them takes
-  a few nanoseconds per message (`Nx.from_binary/2`, `:binary`), because a message is not a term.
+  a few nanoseconds per message (`Nx.from_binary/2`, `:binary`), because no message is built.
 
   Streams of a pipeline carry columns where both sides understand them: `Situ.map/3` and `Situ.each/3` with
   `columns: true`, windows with `with: :columns`, recordings, and components with `c:Situ.Component.handle_columns/4`.
@@ -60,31 +60,33 @@ defmodule Situ.Columns do
 
   @doc """
   Builds columns of equally many times and values. Raises `Situ.Error` if the values are not all integers of 64 bits,
-  all floats or all booleans.
+  all floats or all booleans, or a time does not fit into 64 bits.
   """
   @spec new([Situ.Time.t(), ...], [value(), ...]) :: t()
-  def new([_ | _] = times, [value | _] = values) when length(times) == length(values) do
-    with {:ok, kind} <- Values.value_kind(value),
-         {:ok, values} <- Values.pack_values(kind, values) do
-      times = for time <- times, into: <<>>, do: <<time::little-signed-64>>
-      %__MODULE__{kind: kind, count: div(byte_size(times), 8), times: times, values: values}
+  def new([_ | _] = times, [_ | _] = values) when length(times) == length(values) do
+    with {:ok, _bytes} <- Values.pack_values(:integer, times),
+         {:ok, columns} <- build_columns(0, times, values) do
+      columns
     else
       {:error, value} -> raise mixed_error(value)
     end
   end
 
   @doc false
-  # Builds columns of the lists of a batch: times relative to `base`, and data of which the type is not known.
+  # Builds columns of the lists of a batch, whose times have been checked: they are relative to `base`.
   @spec pack_lists(Situ.Time.t(), [integer(), ...], [term(), ...]) ::
           {:ok, t()} | {:error, term()}
-  def pack_lists(base, times, [value | _] = values) do
+  def pack_lists(base, times, values) do
+    with {:ok, columns} <- build_columns(base, times, values),
+         do: {:ok, Validation.mark_checked(columns)}
+  end
+
+  defp build_columns(base, times, [value | _] = values) do
     with {:ok, kind} <- Values.value_kind(value),
          {:ok, values} <- Values.pack_values(kind, values) do
       times = for dt <- times, into: <<>>, do: <<base + dt::little-signed-64>>
       count = div(byte_size(times), 8)
-
-      {:ok,
-       Validation.mark_checked(%__MODULE__{kind: kind, count: count, times: times, values: values})}
+      {:ok, %__MODULE__{kind: kind, count: count, times: times, values: values}}
     end
   end
 
@@ -93,29 +95,21 @@ defmodule Situ.Columns do
   sequence id is missing.
   """
   @spec from_messages([Message.t(), ...]) :: {:ok, t()} | :error
-  def from_messages([%Message{data: value} = first | _] = messages) do
-    with {:ok, kind} <- Values.value_kind(value),
-         {:ok, values} <- Values.pack_values(kind, Enum.map(messages, & &1.data)),
-         true <- consecutive?(messages, first.sequence_id) do
-      pack = &for(m <- messages, into: <<>>, do: <<Map.fetch!(m, &1)::little-signed-64>>)
+  def from_messages([%Message{} = first | _] = messages) do
+    times = Enum.map(messages, & &1.originating_time)
 
-      {:ok,
-       %__MODULE__{
-         kind: kind,
-         count: length(messages),
-         times: pack.(:originating_time),
-         values: values,
-         creation_times: pack.(:creation_time),
-         sequence_id: first.sequence_id,
-         source_id: first.source_id
-       }}
+    with true <- consecutive_ids?(messages, first.sequence_id),
+         {:ok, columns} <- build_columns(0, times, Enum.map(messages, & &1.data)) do
+      creations = for m <- messages, into: <<>>, do: <<m.creation_time::little-signed-64>>
+      %{sequence_id: id, source_id: source} = first
+      {:ok, %{columns | creation_times: creations, sequence_id: id, source_id: source}}
     else
-      _other -> :error
+      _gap_or_value -> :error
     end
   end
 
-  defp consecutive?([%{sequence_id: id} | rest], id), do: consecutive?(rest, id + 1)
-  defp consecutive?(rest, _id), do: rest == []
+  defp consecutive_ids?([%{sequence_id: id} | rest], id), do: consecutive_ids?(rest, id + 1)
+  defp consecutive_ids?(rest, _id), do: rest == []
 
   @doc "Returns the messages, each with its envelope."
   @spec messages(t()) :: [Message.t()]
@@ -180,6 +174,11 @@ defmodule Situ.Columns do
   @spec time_at(t(), non_neg_integer()) :: Situ.Time.t()
   def time_at(%__MODULE__{times: times}, index), do: fetch_time(times, index)
 
+  @doc "Returns the originating time, the creation time and the sequence id of the last message. It needs an envelope."
+  @spec last_stamp(t()) :: {Situ.Time.t(), Situ.Time.t(), non_neg_integer()}
+  def last_stamp(%__MODULE__{sequence_id: id, count: count} = columns),
+    do: {last_time(columns), last_creation_time(columns), id + count - 1}
+
   @doc "Returns the creation time of the last message, or `nil`."
   @spec last_creation_time(t()) :: Situ.Time.t() | nil
   def last_creation_time(%__MODULE__{creation_times: times, count: count}) when is_binary(times),
@@ -205,7 +204,7 @@ defmodule Situ.Columns do
     kind = kind || columns.kind
 
     if byte_size(values) == columns.count * Values.value_width(kind) and
-         Values.valid?(kind, values),
+         Values.valid_values?(kind, values),
        do: replace_values(columns, kind, values),
        else: raise(bytes_error(columns, values, kind))
   end
@@ -295,16 +294,16 @@ defmodule Situ.Columns do
   @doc "Returns how many messages have an originating time up to `time`."
   @spec count_until(t(), Situ.Time.t()) :: non_neg_integer()
   def count_until(%__MODULE__{times: times, count: count}, time),
-    do: bisect(times, time, 0, count)
+    do: bisect_times(times, time, 0, count)
 
-  defp bisect(_times, _time, from, from), do: from
+  defp bisect_times(_times, _time, from, from), do: from
 
-  defp bisect(times, time, from, to) do
+  defp bisect_times(times, time, from, to) do
     middle = div(from + to, 2)
 
     if fetch_time(times, middle) <= time,
-      do: bisect(times, time, middle + 1, to),
-      else: bisect(times, time, from, middle)
+      do: bisect_times(times, time, middle + 1, to),
+      else: bisect_times(times, time, from, middle)
   end
 
   defp mixed_error(value) do

@@ -81,6 +81,10 @@ defmodule Situ.ColumnsTest do
     end
   end
 
+  test "times of more than 64 bits are refused" do
+    assert %Error{code: :not_columns} = catch_error(Columns.new([1, 2 ** 63], [1, 2]))
+  end
+
   test "replaced values are as many, and finite" do
     columns = Columns.new([1, 2], [1.5, 2.5])
     assert Columns.values(Columns.put_values(columns, [3, 4])) == [3, 4]

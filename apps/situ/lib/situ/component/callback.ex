@@ -2,16 +2,17 @@ defmodule Situ.Component.Callback do
   @moduledoc false
   # A component and the calls to its callbacks. Every result or exception becomes a value. This module does not depend
   # on processes.
-  alias Situ.{Component, Error, Message}
+  alias Situ.{Columns, Component, Error, Message}
   alias Situ.Component.FunctionSwap
   alias Situ.Delivery.Batch
 
   @enforce_keys [:module, :path, :opts, :on_error]
-  defstruct [:module, :path, :opts, :on_error, :core, batch: false, columns: false]
+  defstruct [:module, :path, :opts, :on_error, :core, batch: false, columns: :none]
 
   @typedoc """
-  `core` is the component's state. With `batch` it handles several messages in one call, with `columns` also
-  `Situ.Columns`.
+  `core` is the component's state. With `batch` it handles several messages in one call. `columns` tells which of them
+  are given to it as `Situ.Columns`: `:none`, only those that were `:emitted` so, or `:all` numbers, because it does not
+  take lists of messages.
   """
   @type t :: %__MODULE__{
           module: module(),
@@ -20,7 +21,7 @@ defmodule Situ.Component.Callback do
           on_error: :stop | :skip | :restart,
           core: Component.state(),
           batch: boolean(),
-          columns: boolean()
+          columns: :none | :emitted | :all
         }
   @type outcome :: {:ok, [Component.action()], Component.state()} | {:error, Error.t()}
 
@@ -37,8 +38,16 @@ defmodule Situ.Component.Callback do
 
   defp note_batches(%{module: module} = callback) do
     columns? = function_exported?(module, :handle_columns, 4)
-    batch? = columns? or function_exported?(module, :handle_messages, 4)
-    %{callback | batch: batch?, columns: columns?}
+    messages? = function_exported?(module, :handle_messages, 4)
+
+    columns =
+      cond do
+        not columns? -> :none
+        messages? -> :emitted
+        true -> :all
+      end
+
+    %{callback | batch: columns? or messages?, columns: columns}
   end
 
   @doc "Initializes the component's state."
@@ -167,12 +176,11 @@ defmodule Situ.Component.Callback do
   @spec run_handle_batch(t(), atom(), Batch.t(), Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
   def run_handle_batch(%__MODULE__{module: module, core: core} = callback, input, batch, context) do
-    columns = if callback.columns, do: Batch.columns(batch), else: :error
-
     result =
-      case columns do
-        {:ok, columns} -> module.handle_columns(input, columns, context, core)
-        :error -> module.handle_messages(input, Batch.messages(batch), context, core)
+      case select_form(callback.columns, batch) do
+        {:columns, columns} -> module.handle_columns(input, columns, context, core)
+        :messages -> module.handle_messages(input, Batch.messages(batch), context, core)
+        :single -> :failed
       end
 
     case result do
@@ -182,6 +190,16 @@ defmodule Situ.Component.Callback do
   catch
     _kind, _reason -> :failed
   end
+
+  defp select_form(:all, batch) do
+    case Batch.columns(batch) do
+      {:ok, columns} -> {:columns, columns}
+      :error -> :single
+    end
+  end
+
+  defp select_form(:emitted, %Columns{} = columns), do: {:columns, columns}
+  defp select_form(_form, _batch), do: :messages
 
   @doc "Calls a callback that returns `{:ok, reply, opts, actions, state}` or `{:error, error}`."
   @spec call_with_reply(t(), atom(), [term()]) ::

@@ -45,8 +45,7 @@ defmodule Situ.Delivery.Batch do
   def last_stamp(%__MODULE__{} = batch),
     do: {last_time(batch), batch.created, batch.first_id + batch.size - 1}
 
-  def last_stamp(%Columns{sequence_id: id, count: n} = columns),
-    do: {Columns.last_time(columns), Columns.last_creation_time(columns), id + n - 1}
+  def last_stamp(%Columns{} = columns), do: Columns.last_stamp(columns)
 
   def last_stamp(messages) do
     last = :lists.last(messages)
@@ -71,12 +70,8 @@ defmodule Situ.Delivery.Batch do
   def times([%Message{originating_time: base} | _] = messages),
     do: for(%{originating_time: time} <- messages, do: time - base)
 
-  @spec first_data(t()) :: term()
+  @spec first_data(shared() | [Message.t(), ...]) :: term()
   def first_data(%__MODULE__{data: [data | _]}), do: data
-
-  def first_data(%Columns{} = columns),
-    do: columns |> Columns.slice(0, 1) |> Columns.values() |> hd()
-
   def first_data([%Message{data: data} | _]), do: data
 
   @spec data(t()) :: [term(), ...]
@@ -127,7 +122,7 @@ defmodule Situ.Delivery.Batch do
     end
   end
 
-  def columns(_messages), do: :error
+  def columns(messages), do: Columns.from_messages(messages)
 
   @doc "Takes the first message; the rest is `nil` after the last one."
   @spec pop(t()) :: {Message.t(), t() | nil}

@@ -1,7 +1,7 @@
 defmodule Situ.Operator.ColumnFunction do
   @moduledoc false
-  # The component of `Situ.map/3` and `Situ.each/3` with `columns: true`. Numbers that arrive as messages become columns
-  # first. Like other operators, it emits messages with new envelopes.
+  # The component of `Situ.map/3` and `Situ.each/3` with `columns: true`. Like other operators, it emits messages with
+  # new envelopes.
   use Situ.Component,
     share_process: true,
     inputs: [in: :any],
@@ -18,13 +18,8 @@ defmodule Situ.Operator.ColumnFunction do
 
   @impl true
   def handle_message(:in, message, context, state),
-    do: handle_messages(:in, [message], context, state)
-
-  @impl true
-  def handle_messages(:in, messages, _context, state) do
-    {times, values} = messages |> Enum.map(&{&1.originating_time, &1.data}) |> Enum.unzip()
-    {[{:out, call_function(Columns.new(times, values), state)}], state}
-  end
+    do:
+      handle_columns(:in, Columns.new([message.originating_time], [message.data]), context, state)
 
   @impl true
   def handle_columns(:in, columns, _context, state),

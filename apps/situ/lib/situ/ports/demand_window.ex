@@ -71,17 +71,17 @@ defmodule Situ.Ports.DemandWindow do
   @spec weigh_batch(t(), Batch.t()) :: t()
   def weigh_batch(%__MODULE__{weigh: false} = window, _batch), do: window
   def weigh_batch(%__MODULE__{size: @columns} = window, %Columns{}), do: window
-  def weigh_batch(%__MODULE__{} = window, %Columns{}), do: resize(window, @columns)
+  def weigh_batch(%__MODULE__{} = window, %Columns{}), do: resize_window(window, @columns)
 
   def weigh_batch(%__MODULE__{} = window, batch) do
     case weight(Batch.first_data(batch), window.unweighed) do
       :unknown -> %{window | unweighed: window.unweighed - 1}
-      bytes -> resize(window, div(@budget, max(bytes, 1)) |> max(@least) |> min(@default))
+      bytes -> resize_window(window, div(@budget, max(bytes, 1)) |> max(@least) |> min(@default))
     end
   end
 
   # When the window grows, demand is sent immediately; when it shrinks, later demand is reduced.
-  defp resize(window, size) do
+  defp resize_window(window, size) do
     owed = window.owed + size - window.size
     %{window | size: size, owed: owed, unweighed: div(size, 2)}
   end

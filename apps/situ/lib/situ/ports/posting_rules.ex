@@ -162,8 +162,8 @@ defmodule Situ.Ports.PostingRules do
   end
 
   def emit_columns(output, columns, now, enforce?, _final) do
-    if shared_envelope?(output, enforce?, nil) and columns.sequence_id > output.seq and
-         Validation.creation_ordered?(columns, output.last_creation),
+    if shared_envelope?(output, enforce?, nil) and
+         Validation.continues?(columns, output.seq, output.last_creation),
        do: post_columns(output, columns),
        else: forward_all(output, Columns.messages(columns), now, enforce?)
   end

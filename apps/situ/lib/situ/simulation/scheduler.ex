@@ -99,7 +99,8 @@ defmodule Situ.Simulation.Scheduler do
   defp loop(state), do: state
 
   # A function such as `Process.info/2` may wait for another process without a message, and a suspended process would
-  # wait forever. So before all count as deadlocked, these run again.
+  # wait forever. So before all count as deadlocked, these run again, for some real time: the answer may come from a
+  # process outside the simulation.
   defp retry_waiting(%{outcome: nil} = state, retries) do
     {runnable, state} = list_runnable(state)
     waiting = Processes.list_retriable(state.processes)

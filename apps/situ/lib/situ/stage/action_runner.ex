@@ -26,31 +26,19 @@ defmodule Situ.Stage.ActionRunner do
     end
   end
 
-  def apply_actions(step, [{name, [first | _] = times, data} | rest])
+  def apply_actions(step, [{name, [first | _] = times, data} = action | rest])
       when is_atom(name) and is_list(data) do
     %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
-
-    with {:ok, output} <- fetch_output(step, name),
-         {:ok, output} <- PostingRules.emit_lists(output, {times, data}, now, enforced?, final),
-         :ok <- PostingRules.check_range(output, first) do
-      apply_actions(put_output(step, output), rest)
-    else
-      :error -> {:error, bad_action(step, {name, times, data})}
-      error -> error
-    end
+    emit = &PostingRules.emit_lists(&1, {times, data}, now, enforced?, final)
+    post_together(step, {action, first}, rest, emit)
   end
 
-  def apply_actions(step, [{name, %Columns{} = columns} | rest]) when is_atom(name) do
+  def apply_actions(step, [{name, %Columns{} = columns} = action | rest]) when is_atom(name) do
     %{context: %{enforced?: enforced?, now: now}, source: %{final: final}} = step
 
-    with {:ok, output} <- fetch_output(step, name),
-         :ok <- Validation.validate(columns),
-         {:ok, output} <- PostingRules.emit_columns(output, columns, now, enforced?, final),
-         :ok <- PostingRules.check_range(output, Columns.first_time(columns)) do
-      apply_actions(put_output(step, output), rest)
-    else
-      :error -> {:error, bad_action(step, {name, columns})}
-      error -> error
+    with :ok <- Validation.validate(columns) do
+      emit = &PostingRules.emit_columns(&1, columns, now, enforced?, final)
+      post_together(step, {action, Columns.first_time(columns)}, rest, emit)
     end
   end
 
@@ -67,22 +55,26 @@ defmodule Situ.Stage.ActionRunner do
 
   def apply_actions(step, other), do: {:error, bad_action(step, other)}
 
-  defp forward(%{context: context} = step, name, messages, rest) do
-    with {:ok, output} <- fetch_output(step, name),
-         {:ok, output} <-
-           PostingRules.forward_all(output, messages, context.now, context.enforced?),
-         :ok <- check_first(output, messages) do
+  defp forward(step, name, [], rest),
+    do: with({:ok, _output} <- fetch_output(step, name), do: apply_actions(step, rest))
+
+  defp forward(%{context: context} = step, name, [first | _] = messages, rest) do
+    emit = &PostingRules.forward_all(&1, messages, context.now, context.enforced?)
+    time = with %Message{originating_time: time} <- first, do: time
+    post_together(step, {{name, messages}, time}, rest, emit)
+  end
+
+  # `first` is the time of the first message of the action.
+  defp post_together(step, {action, first}, rest, emit) do
+    with {:ok, output} <- fetch_output(step, elem(action, 0)),
+         {:ok, output} <- emit.(output),
+         :ok <- PostingRules.check_range(output, first) do
       apply_actions(put_output(step, output), rest)
     else
-      :error -> {:error, bad_action(step, {name, messages})}
+      :error -> {:error, bad_action(step, action)}
       error -> error
     end
   end
-
-  defp check_first(_output, []), do: :ok
-
-  defp check_first(output, [first | _]),
-    do: PostingRules.check_range(output, first.originating_time)
 
   defp put_output(step, output), do: %{step | outputs: Outputs.put(step.outputs, output)}
 

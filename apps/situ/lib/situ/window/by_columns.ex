@@ -43,7 +43,7 @@ defmodule Situ.Window.ByColumns do
   def push(%__MODULE__{span: span, kept: kept} = window, columns) do
     all = if kept == nil, do: columns, else: Columns.append(kept, columns)
     {windows, keep} = slide_window(span, all, columns.count)
-    {outputs(windows, window.fun), %{window | kept: keep_last(all, keep)}}
+    {build_outputs(windows, window.fun), %{window | kept: keep_last(all, keep)}}
   end
 
   # Returns the windows as `{time, columns}`, and how many of the last messages later windows need.
@@ -73,9 +73,9 @@ defmodule Situ.Window.ByColumns do
   defp keep_last(_all, 0), do: nil
   defp keep_last(%{count: count} = all, n), do: Columns.slice(all, count - n, n)
 
-  defp outputs([], _fun), do: []
+  defp build_outputs([], _fun), do: []
 
-  defp outputs(windows, fun) do
+  defp build_outputs(windows, fun) do
     {times, results} =
       windows |> Enum.map(fn {time, part} -> {time, fun.(part)} end) |> Enum.unzip()
 

@@ -7,8 +7,7 @@ defmodule Situ.Window.Component do
     outputs: [out: :any],
     options: [core: [type: :any, required: true, doc: "`{module, function, arguments}`"]]
 
-  alias Situ.Columns
-  alias Situ.Window.{ByColumns, ByIndex, ByStream, ByTime}
+  alias Situ.Window.{ByIndex, ByStream, ByTime}
 
   @impl true
   def init(opts) do
@@ -27,23 +26,11 @@ defmodule Situ.Window.Component do
   def handle_messages(:in, messages, _context, %ByTime{} = core),
     do: ByTime.push(core, messages)
 
-  def handle_messages(:in, messages, _context, %ByColumns{} = core) do
-    {times, values} = messages |> Enum.map(&{&1.originating_time, &1.data}) |> Enum.unzip()
-    ByColumns.push(core, Columns.new(times, values))
-  end
-
   def handle_messages(:in, messages, _context, %ByStream{} = core),
     do: ByStream.push_source(core, messages)
 
   def handle_messages(:windows, messages, _context, core),
     do: ByStream.push_windows(core, messages)
-
-  @impl true
-  def handle_columns(:in, columns, _context, %ByColumns{} = core),
-    do: ByColumns.push(core, columns)
-
-  def handle_columns(input, columns, context, core),
-    do: handle_messages(input, Columns.messages(columns), context, core)
 
   @impl true
   def handle_closed(:in, _time, _context, %ByTime{} = core), do: ByTime.close(core)

@@ -1,5 +1,5 @@
 defmodule Situ.Delivery.BatchTest do
-  # A batch with a shared envelope behaves like the list of its messages.
+  # A batch with a shared envelope, and the same numbers as columns, behave like the list of their messages.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -17,16 +17,22 @@ defmodule Situ.Delivery.BatchTest do
       last_time: base + List.last(times),
       base: base,
       times: times,
-      data: Enum.map(times, &{:value, &1}),
+      data: Enum.map(times, &(&1 / 2)),
       size: length(times)
     }
   end
 
   defp gaps({first, rest}), do: [first | Enum.map(rest, &(&1 + 1))]
+
+  defp columns(batch) do
+    {:ok, columns} = Batch.columns(batch)
+    columns
+  end
+
   defp unpack(nil), do: []
   defp unpack(batch), do: Batch.messages(batch)
 
-  property "both forms give the same answers" do
+  property "all forms give the same answers" do
     forall input <- {integer(0, 3), list(integer(0, 3))} do
       shared = input |> gaps() |> shared()
       messages = Batch.messages(shared)
@@ -39,12 +45,15 @@ defmodule Situ.Delivery.BatchTest do
             &Batch.first_time/1,
             &Batch.last_time/1,
             &Batch.last_stamp/1,
-            &Batch.first_data/1,
             &Batch.data/1,
             &Batch.times/1,
-            &Batch.base/1
+            &Batch.base/1,
+            &Batch.messages/1
           ],
-          do: assert(fun.(shared) == fun.(messages))
+          form <- [shared, columns(shared), columns(messages)],
+          do: assert(fun.(form) === fun.(messages))
+
+      assert Batch.first_data(shared) == Batch.first_data(messages)
     end
   end
 
@@ -55,7 +64,7 @@ defmodule Situ.Delivery.BatchTest do
       messages = Batch.messages(shared)
       final = shared.base + time
 
-      for batch <- [shared, messages] do
+      for batch <- [shared, messages, columns(shared), columns(messages)] do
         {taken, rest} = Batch.split(batch, n)
         assert unpack(taken) == Enum.take(messages, n)
         assert unpack(rest) == Enum.drop(messages, n)

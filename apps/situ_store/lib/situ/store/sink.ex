@@ -84,16 +84,16 @@ defmodule Situ.Store.Sink do
 
   # Numbers go to the draft as they are. The other ways of writing take messages.
   @impl true
-  def handle_columns(:in, columns, context, %{draft: draft, envelopes: envelopes?} = state) do
-    if draft == nil or envelopes? or state.pass do
-      handle_messages(:in, Columns.messages(columns), context, state)
-    else
-      case StreamDraft.add_columns(draft, columns) do
-        :refused -> handle_messages(:in, Columns.messages(columns), context, state)
-        size -> commit_large_draft(size, state)
-      end
+  def handle_columns(:in, columns, context, state) do
+    case add_columns(columns, state) do
+      :refused -> handle_messages(:in, Columns.messages(columns), context, state)
+      size -> commit_large_draft(size, state)
     end
   end
+
+  defp add_columns(_columns, %{draft: nil}), do: :refused
+  defp add_columns(_columns, %{envelopes: true}), do: :refused
+  defp add_columns(columns, %{draft: draft}), do: StreamDraft.add_columns(draft, columns)
 
   defp write_messages(messages, %{rotation: {_, cut, _, _}} = state) do
     messages
@@ -244,8 +244,8 @@ defmodule Situ.Store.Sink do
     put_stream(state, unwrap!(append_pending(state)))
   end
 
-  # This process replaces one that died after it had committed some of these messages. They may arrive in several
-  # deliveries, so this ends only with the first later message.
+  # The process before this one may have committed some of these messages before it died. They can arrive in several
+  # deliveries, so it is only the first later message that is certainly new.
   defp finish_append(%{fresh: true} = state, {:error, %{code: :not_increasing} = error}) do
     later? = &(&1.originating_time > error.meta.last)
     batches = for batch <- state.pending, do: Enum.filter(batch, later?)

@@ -158,9 +158,9 @@ defmodule Situ.Store.Source do
     {[{:out, messages}], %{state | last: last.originating_time, sent: envelope}}
   end
 
-  defp emit_columns(%{sequence_id: id, count: count} = columns, state) do
-    envelope = {id + count - 1, Columns.last_creation_time(columns)}
-    {[{:out, columns}], %{state | last: Columns.last_time(columns), sent: envelope}}
+  defp emit_columns(columns, state) do
+    {time, creation, id} = Columns.last_stamp(columns)
+    {[{:out, columns}], %{state | last: time, sent: {id, creation}}}
   end
 
   defp shift_times(messages, 0), do: messages
@@ -179,14 +179,15 @@ defmodule Situ.Store.Source do
 
   # The enforced clock takes messages one by one.
   defp load_batch(n, %{enforced?: false} = context, %{columns?: true, shift: 0} = state) do
-    %{store: store} = state.importer
+    %{importer: %{store: store}, envelope: {last_id, last_creation}} = state
 
     case store.module.columns(store.state, state.info, state.ordinal, read_limit(state), @bytes) do
-      {:ok, %{count: count} = columns, next} ->
-        if continues?(columns, state.envelope) do
-          envelope = {columns.sequence_id + count - 1, Columns.last_creation_time(columns)}
-          state = %{state | envelope: envelope, ordinal: next, buffer: {columns, count}}
-          emit_buffered(n, state)
+      {:ok, columns, next} ->
+        # Other envelopes are changed by `Envelopes.make_monotonic/2`.
+        if Validation.continues?(columns, last_id, last_creation) do
+          {_time, creation, id} = Columns.last_stamp(columns)
+          buffer = {columns, columns.count}
+          emit_buffered(n, %{state | envelope: {id, creation}, ordinal: next, buffer: buffer})
         else
           load_batch(n, context, %{state | columns?: false})
         end
@@ -201,10 +202,6 @@ defmodule Situ.Store.Source do
   end
 
   defp load_batch(n, context, state), do: load_messages(n, context, state)
-
-  # Other envelopes are changed by `Envelopes.make_monotonic/2`.
-  defp continues?(%{sequence_id: id} = columns, {last, creation}),
-    do: id != nil and id > last and Validation.creation_ordered?(columns, creation)
 
   defp load_messages(n, context, state) do
     %{store: store, skip_damage: skip?} = state.importer

@@ -53,21 +53,24 @@ defmodule Situ.Columns.Validation do
 
   defp find_unordered(<<>>, _high, _low), do: nil
 
-  @doc "Returns whether the creation times never go backwards, also from `last`."
-  @spec creation_ordered?(Columns.t(), Situ.Time.t() | nil) :: boolean()
-  def creation_ordered?(%Columns{creation_times: times}, last) when is_binary(times) do
+  @doc "Returns whether the messages have envelopes that continue after this sequence id and creation time."
+  @spec continues?(Columns.t(), integer(), Situ.Time.t() | nil) :: boolean()
+  def continues?(%Columns{sequence_id: id} = columns, last_id, last_creation),
+    do: id != nil and id > last_id and creation_ordered?(columns, last_creation)
+
+  defp creation_ordered?(%Columns{creation_times: times}, last) when is_binary(times) do
     <<low::little-32, high::little-signed-32, rest::binary>> = times
     <<first::little-signed-64, _::binary>> = times
-    (last == nil or first >= last) and ordered?(rest, high, low)
+    (last == nil or first >= last) and never_decreasing?(rest, high, low)
   end
 
-  def creation_ordered?(%Columns{creation_times: time}, last), do: last == nil or time >= last
+  defp creation_ordered?(%Columns{creation_times: time}, last), do: last == nil or time >= last
 
-  defp ordered?(<<low::little-32, high::little-signed-32, rest::binary>>, before, below)
+  defp never_decreasing?(<<low::little-32, high::little-signed-32, rest::binary>>, before, below)
        when high > before or (high == before and low >= below),
-       do: ordered?(rest, high, low)
+       do: never_decreasing?(rest, high, low)
 
-  defp ordered?(rest, _high, _low), do: rest == <<>>
+  defp never_decreasing?(rest, _high, _low), do: rest == <<>>
 
   @doc "Checks that the fields fit to each other, for columns that were not built by these functions."
   @spec validate(Columns.t()) :: :ok | {:error, Error.t()}
@@ -75,7 +78,7 @@ defmodule Situ.Columns.Validation do
       when kind in [:integer, :float, :boolean] and is_integer(count) and count > 0 and
              is_binary(times) and byte_size(times) == count * 8 and is_binary(values) do
     if byte_size(values) == count * Values.value_width(kind) and valid_envelope?(columns) and
-         (checked?(columns) or Values.valid?(kind, values)),
+         (checked?(columns) or Values.valid_values?(kind, values)),
        do: :ok,
        else: {:error, fields_error(columns)}
   end

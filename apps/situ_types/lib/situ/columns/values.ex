@@ -22,20 +22,20 @@ defmodule Situ.Columns.Values do
   defp pack_integers([n | rest], bytes) when is_integer(n) and n >= @least and n <= @most,
     do: pack_integers(rest, <<bytes::binary, n::little-signed-64>>)
 
-  defp pack_integers(rest, bytes), do: packed(rest, bytes)
+  defp pack_integers(rest, bytes), do: finish_packing(rest, bytes)
 
   defp pack_floats([x | rest], bytes) when is_float(x),
     do: pack_floats(rest, <<bytes::binary, x::little-float-64>>)
 
-  defp pack_floats(rest, bytes), do: packed(rest, bytes)
+  defp pack_floats(rest, bytes), do: finish_packing(rest, bytes)
 
   defp pack_booleans([b | rest], bytes) when is_boolean(b),
     do: pack_booleans(rest, <<bytes::binary, if(b, do: 1, else: 0)>>)
 
-  defp pack_booleans(rest, bytes), do: packed(rest, bytes)
+  defp pack_booleans(rest, bytes), do: finish_packing(rest, bytes)
 
-  defp packed([], bytes), do: {:ok, bytes}
-  defp packed([value | _rest], _bytes), do: {:error, value}
+  defp finish_packing([], bytes), do: {:ok, bytes}
+  defp finish_packing([value | _rest], _bytes), do: {:error, value}
 
   @doc "Returns how many bytes a value takes."
   @spec value_width(Columns.kind()) :: 1 | 8
@@ -43,16 +43,16 @@ defmodule Situ.Columns.Values do
   def value_width(_kind), do: 8
 
   @doc "Returns whether all floats are finite, and all booleans 0 or 1."
-  @spec valid?(Columns.kind(), binary()) :: boolean()
-  def valid?(:float, bytes), do: finite?(bytes)
-  def valid?(:boolean, bytes), do: for(<<b <- bytes>>, b > 1, do: b) == []
-  def valid?(:integer, _bytes), do: true
+  @spec valid_values?(Columns.kind(), binary()) :: boolean()
+  def valid_values?(:float, bytes), do: all_finite?(bytes)
+  def valid_values?(:boolean, bytes), do: for(<<b <- bytes>>, b > 1, do: b) == []
+  def valid_values?(:integer, _bytes), do: true
 
   # The exponent of a float that is not finite is all ones.
-  defp finite?(<<_::48, end_bits::little-16, rest::binary>>),
-    do: Bitwise.band(end_bits, 0x7FF0) != 0x7FF0 and finite?(rest)
+  defp all_finite?(<<_::48, end_bits::little-16, rest::binary>>),
+    do: Bitwise.band(end_bits, 0x7FF0) != 0x7FF0 and all_finite?(rest)
 
-  defp finite?(<<>>), do: true
+  defp all_finite?(<<>>), do: true
 
   @doc "Returns the values as a list. All of them must be valid."
   @spec unpack_values(Columns.kind(), binary()) :: [Columns.value()]
