@@ -126,6 +126,33 @@ elixir_with() {
 # changes its arguments. `bin/situ --version` takes about 0.3 s of CPU time, nearly all of it for the start of the VM.
 situ_prod() { start_vm "$(release_flags)" -s Elixir.Situ.CLI start -extra "$@"; }
 
+# situ_draining ARGS...: runs the command line so that Ctrl-C, and SIGTERM, end it in an orderly way: the machine
+# receives SIGTERM, delivers its last messages and closes its recordings. A second Ctrl-C kills it. This script waits,
+# because a virtual machine cannot handle SIGINT.
+situ_draining() {
+  local status=0 stops=0
+  (
+    trap '' INT
+    start_vm "$(release_flags) +Bi" -s Elixir.Situ.CLI start -extra "$@"
+  ) <&0 &
+  vm=$!
+  # shellcheck disable=SC2317
+  stop_vm() {
+    stops=$((stops + 1))
+    if [ "$stops" -eq 1 ]; then kill -TERM "$vm" 2>/dev/null; else kill -KILL "$vm" 2>/dev/null; fi || true
+  }
+  trap stop_vm INT TERM
+  # A signal ends `wait`, but not the machine.
+  while :; do
+    status=0
+    wait "$vm" || status=$?
+    kill -0 "$vm" 2>/dev/null || break
+  done
+  # A killed machine leaves its last status line on the terminal.
+  if [ "$stops" -gt 1 ]; then printf '\n' >&2; status=130; fi
+  exit "$status"
+}
+
 # start_vm FLAGS ARGS...: replaces this process by a virtual machine with the production build. It loads no code from
 # the current folder.
 #

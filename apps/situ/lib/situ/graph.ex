@@ -195,6 +195,22 @@ defmodule Situ.Graph do
     Map.merge(default, graph.stream_names)
   end
 
+  @doc "Lists the names of all streams, or only of those that were named explicitly, in the order of construction."
+  @spec list_stream_names(t(), :all | :named) :: [String.t()]
+  def list_stream_names(%__MODULE__{} = graph, which) do
+    names = Map.new(graph.stream_names, fn {name, port} -> {port, name} end)
+
+    for {id, vertex} <- Enum.sort(graph.vertices),
+        {output, _} <- vertex.outputs,
+        given = Map.fetch(names, {id, output}),
+        which == :all or given != :error or vertex.named? do
+      case given do
+        {:ok, name} -> name
+        :error -> stream_name(vertex.path, output, vertex.outputs)
+      end
+    end
+  end
+
   @doc "Returns the stream with this name. Raises `Situ.Error` if there is none."
   @spec fetch_stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
   def fetch_stream!(%__MODULE__{} = graph, handle, name) do
@@ -243,7 +259,7 @@ defmodule Situ.Graph do
       end)
 
     unit = surrounding_scope(graph, vertex.scope).unit
-    vertex = %{vertex | path: path, outputs: outputs, unit: unit}
+    vertex = %{vertex | path: path, outputs: outputs, unit: unit, named?: explicit != nil}
 
     graph = %{
       graph

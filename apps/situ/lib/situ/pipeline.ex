@@ -20,6 +20,19 @@ defmodule Situ.Pipeline do
       iex> {report.result, report.errors}
       {:nothing, []}
 
+  ## Options of a pipeline's module
+
+  A module can declare its options with a schema (`Situ.Options`). They are checked before `build/2` is called, defaults
+  are filled in, and `situ run` accepts them on the command line:
+
+      defmodule Lobby do
+        use Situ.Pipeline,
+          options: [threshold: [type: :float, default: 0.4, doc: "How loud a voice is, from 0 to 1."]]
+
+        @impl true
+        def build(p, opts), do: detect_voices(p, opts[:threshold])
+      end
+
   ## Settings, under the reserved key `pipeline:` of the options
 
   #{Situ.Options.docs(Situ.Pipeline.Settings.schema())}
@@ -80,15 +93,32 @@ defmodule Situ.Pipeline do
   @doc "Builds the graph. Its return value becomes the report's `result`."
   @callback build(t(), opts :: keyword()) :: term()
 
+  @doc "Returns the schema of the options of `build/2`. Without it, any options are passed on."
+  @callback options() :: Situ.Options.schema()
+  @optional_callbacks options: 0
+
   @doc false
-  defmacro __using__(_opts) do
+  defmacro __using__(opts) do
     quote do
       @behaviour Situ.Pipeline
       @after_compile Situ.Pipeline
 
+      unquote(define_options(opts[:options]))
+
       def child_spec(opts), do: Situ.Pipeline.child_spec({__MODULE__, opts})
       def start_link(opts), do: Situ.Pipeline.start_link(__MODULE__, opts)
       defoverridable child_spec: 1
+    end
+  end
+
+  defp define_options(nil), do: nil
+
+  defp define_options(schema) do
+    quote do
+      Situ.Options.add_to_moduledoc(__MODULE__, unquote(schema))
+
+      @impl true
+      def options, do: unquote(schema)
     end
   end
 
@@ -107,6 +137,20 @@ defmodule Situ.Pipeline do
       restart: :transient,
       shutdown: 10_000
     }
+  end
+
+  @doc """
+  Checks the options of a pipeline against the schema of its module, and fills in defaults. Functions, and modules
+  without a schema, accept any options.
+
+      iex> Situ.Pipeline.validate_options(fn _p -> :ok end, threshold: 0.5)
+      {:ok, [threshold: 0.5]}
+  """
+  @spec validate_options(spec(), keyword()) :: {:ok, keyword()} | {:error, Error.t()}
+  def validate_options(spec, opts) do
+    if is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0),
+      do: Situ.Options.validate(opts, spec.options()),
+      else: {:ok, opts}
   end
 
   @doc """
@@ -290,6 +334,29 @@ defmodule Situ.Pipeline do
 
   def stream(other, name),
     do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.stream(p, #{inspect(name)})")
+
+  @doc """
+  Returns the names of the streams of a pipeline that is being built or extended, in order: all streams, or with
+  `:named` only those that have a name of their own (`name:` or `Situ.name/2`).
+
+      iex> {:ok, report} = Situ.Pipeline.run(fn p ->
+      ...>   p |> Situ.from_enumerable(1..3, every: 1) |> Situ.map(&(&1 + 1), name: "Next")
+      ...>   {Situ.Pipeline.stream_names(p), Situ.Pipeline.stream_names(p, :named)}
+      ...> end)
+      iex> report.result
+      {["Enumerable", "Next"], ["Next"]}
+  """
+  @spec stream_names(t(), :all | :named) :: [String.t()]
+  def stream_names(p, which \\ :all)
+
+  def stream_names(%Handle{} = p, which) when which in [:all, :named],
+    do: Builder.update_graph(p, &{Graph.list_stream_names(&1, which), &1})
+
+  def stream_names(%Handle{}, other),
+    do: Argument.raise_invalid!(other, ":all or :named", "Situ.Pipeline.stream_names(p, :named)")
+
+  def stream_names(other, _which),
+    do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.stream_names(p)")
 
   @doc "Waits for the end; after `timeout` ms returns a `Situ.Error` (`:timeout`), and the pipeline keeps running."
   @spec await(target(), timeout()) :: result()

@@ -46,6 +46,23 @@ defmodule Situ.Error do
   def unwrap!({:error, error}), do: raise(error)
 
   @doc """
+  Formats the innermost place in a stack trace that has a source file, for `why:`.
+
+      iex> stack = [{:maps, :get, [:x, %{}], []}, {Lobby, :build, 2, [file: 'lib/lobby.ex', line: 12]}]
+      iex> Situ.Error.format_location(stack)
+      "at lib/lobby.ex:12: Lobby.build/2"
+      iex> Situ.Error.format_location([])
+      nil
+  """
+  @spec format_location(Exception.stacktrace()) :: String.t() | nil
+  def format_location(stack) do
+    case Enum.find(stack, fn entry -> elem(entry, 3)[:file] != nil end) do
+      nil -> nil
+      entry -> "at " <> Exception.format_stacktrace_entry(entry)
+    end
+  end
+
+  @doc """
   Maps items with `fun`, which returns `{:ok, value}`, and returns the values in order. Any other result of `fun`
   stops the iteration and is returned.
 

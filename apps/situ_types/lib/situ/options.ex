@@ -15,6 +15,7 @@ defmodule Situ.Options do
   `nil`).
   """
   alias Situ.Error
+  alias Situ.Options.Parsing
 
   @type type :: atom() | tuple()
   @type schema :: [
@@ -48,6 +49,25 @@ defmodule Situ.Options do
       {:ok, valid} -> valid
       {:error, error} -> raise error
     end
+  end
+
+  @doc """
+  Converts options from JSON or a command line, a map with string keys, and validates them. Errors: `:unknown_option`,
+  `:bad_option`, `:missing_option`.
+
+  A string selects the atom of that name among the choices of `{:in, atoms}`. An option of type `:time_ns` also accepts
+  a duration (`Situ.Time.parse_duration/1`). No atoms are created.
+
+      iex> schema = [gap: [type: :time_ns, default: 0], mode: [type: {:in, [:fast, :exact]}]]
+      iex> Situ.Options.parse(%{"mode" => "exact", "gap" => "200ms"}, schema)
+      {:ok, [gap: 200_000_000, mode: :exact]}
+      iex> {:error, error} = Situ.Options.parse(%{"mod" => "exact"}, schema)
+      iex> {error.code, error.fix}
+      {:unknown_option, "did you mean mode? Known options: gap, mode"}
+  """
+  @spec parse(%{String.t() => term()}, schema()) :: {:ok, keyword()} | {:error, Error.t()}
+  def parse(values, schema) do
+    with {:ok, opts} <- Parsing.parse(values, schema), do: validate(opts, schema)
   end
 
   @doc """

@@ -122,6 +122,39 @@ defmodule Situ.Time do
     end
   end
 
+  @duration_units %{
+    "ns" => 1,
+    "us" => 1_000,
+    "ms" => 1_000_000,
+    "s" => 1_000_000_000,
+    "m" => 60_000_000_000,
+    "min" => 60_000_000_000,
+    "h" => 3_600_000_000_000
+  }
+
+  @doc """
+  Parses a duration: a number with the unit `ns`, `us`, `ms`, `s`, `m` or `min`, or `h`. A number without a unit is in
+  seconds.
+
+      iex> Enum.map(["250ms", "1.5 min", "2"], &Situ.Time.parse_duration/1)
+      [{:ok, 250_000_000}, {:ok, 90_000_000_000}, {:ok, 2_000_000_000}]
+      iex> Situ.Time.parse_duration("soon")
+      :error
+  """
+  @spec parse_duration(String.t()) :: {:ok, duration()} | :error
+  def parse_duration(text) when is_binary(text) do
+    with {number, unit} <- Float.parse(text),
+         unit = unit |> String.trim() |> default_unit(),
+         {:ok, ns} <- Map.fetch(@duration_units, unit) do
+      {:ok, round(number * ns)}
+    else
+      _ -> :error
+    end
+  end
+
+  defp default_unit(""), do: "s"
+  defp default_unit(unit), do: unit
+
   @doc """
   Formats a duration for people, with three significant digits and a unit.
 

@@ -239,7 +239,7 @@ defmodule Situ.Component.Callback do
     banner = Exception.format_banner(kind, reason, stack)
 
     Error.new(:component_failed, "#{path} failed (#{where}): #{banner}",
-      why: where_from(stack),
+      why: Error.format_location(stack),
       meta: %{
         component: path,
         kind: kind,
@@ -291,12 +291,5 @@ defmodule Situ.Component.Callback do
       why: "it must return #{expected}",
       meta: %{component: path}
     )
-  end
-
-  defp where_from(stack) do
-    case Enum.find(stack, fn entry -> elem(entry, 3)[:file] != nil end) do
-      nil -> nil
-      entry -> "at " <> Exception.format_stacktrace_entry(entry)
-    end
   end
 end

@@ -3,7 +3,8 @@ defmodule Situ.Graph.Vertex do
   # A component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
   #
   # Ports are keyword lists. Inputs are `%{type, optional}`, outputs are `%{type, optional, source_id}`.
-  # With `holds: false`, messages are not held back until the clock of their pipeline reaches them.
+  # With `holds: false`, messages are not held back until the clock of their pipeline reaches them. `named?` tells
+  # whether the name was given, and not derived from the module or operator.
 
   @enforce_keys [:id, :module]
   defstruct [
@@ -20,7 +21,8 @@ defmodule Situ.Graph.Vertex do
     async: false,
     check: :first,
     on_same_time: :error,
-    holds: true
+    holds: true,
+    named?: false
   ]
 
   @type t :: %__MODULE__{
@@ -37,7 +39,8 @@ defmodule Situ.Graph.Vertex do
           async: boolean(),
           check: :first | :all | :off,
           on_same_time: :error | :drop | :nudge,
-          holds: boolean()
+          holds: boolean(),
+          named?: boolean()
         }
 
   @doc "Returns whether the component is a source: it has no inputs, or it is a pull source."

@@ -107,17 +107,19 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
-  @spec build_failed(term(), term(), list()) :: Error.t()
-  def build_failed(_spec, %Error{} = error, stack),
+  @doc "Builds the error of a pipeline whose `build/2` raised an exception, or `{kind, reason}`."
+  @spec build_failed(String.t(), term(), list()) :: Error.t()
+  def build_failed(_name, %Error{} = error, stack),
     do: %{error | meta: Map.put_new(error.meta, :stacktrace, stack)}
 
-  def build_failed(spec, {kind, reason}, stack), do: build_error(spec, kind, reason, stack)
-  def build_failed(spec, exception, stack), do: build_error(spec, :error, exception, stack)
+  def build_failed(name, {kind, reason}, stack), do: build_error(name, kind, reason, stack)
+  def build_failed(name, exception, stack), do: build_error(name, :error, exception, stack)
 
-  defp build_error(spec, kind, reason, stack) do
+  defp build_error(name, kind, reason, stack) do
     Error.new(
       :build_failed,
-      "building #{inspect(spec)} failed: #{Exception.format_banner(kind, reason, stack)}",
+      "building the pipeline #{name} failed: #{Exception.format_banner(kind, reason, stack)}",
+      why: Error.format_location(stack),
       meta: %{kind: kind, reason: reason, stacktrace: stack}
     )
   end

@@ -57,7 +57,8 @@ defmodule Situ.Pipeline.Launcher do
     {settings, opts} = Keyword.pop(opts, :pipeline, [])
     {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
 
-    with {:ok, settings} <- Settings.parse(settings, mode, spec) do
+    with {:ok, settings} <- Settings.parse(settings, mode, spec),
+         {:ok, opts} <- Situ.Pipeline.validate_options(spec, opts) do
       origin = if is_atom(spec), do: {spec, opts}
       settings = %{settings | reply: reply && {self(), reply}, origin: origin}
       call = {__MODULE__, :init_it, [self(), spec, opts, settings]}
@@ -78,7 +79,7 @@ defmodule Situ.Pipeline.Launcher do
     add_diagnostics(handle, settings)
     state = %{state | code: {watch_module(settings.origin), nil}}
 
-    case with(:ok <- Directory.register_pipeline(settings), do: build_graph(spec, handle, opts)) do
+    case register_and_build(spec, handle, opts, settings) do
       {:ok, result} ->
         graph = Builder.close_graph(handle)
         state = monitor_caller(%{state | handle: handle, graph: graph, result: result}, caller)
@@ -126,13 +127,18 @@ defmodule Situ.Pipeline.Launcher do
   defp add_diagnostics(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)
   defp add_diagnostics(handle, %{diagnostics: opts}), do: Situ.Diagnostics.stream(handle, opts)
 
-  defp build_graph(spec, handle, opts) do
+  defp register_and_build(spec, handle, opts, settings) do
+    with :ok <- Directory.register_pipeline(settings),
+         do: build_graph(spec, handle, opts, settings.name)
+  end
+
+  defp build_graph(spec, handle, opts, name) do
     result = if is_function(spec, 1), do: spec.(handle), else: spec.build(handle, opts)
     {:ok, result}
   rescue
-    error -> {:error, Errors.build_failed(spec, error, __STACKTRACE__)}
+    error -> {:error, Errors.build_failed(name, error, __STACKTRACE__)}
   catch
-    kind, reason -> {:error, Errors.build_failed(spec, {kind, reason}, __STACKTRACE__)}
+    kind, reason -> {:error, Errors.build_failed(name, {kind, reason}, __STACKTRACE__)}
   end
 
   defp monitor_caller(%{settings: %{mode: :linked}} = state, _caller), do: state

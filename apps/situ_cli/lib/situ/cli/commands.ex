@@ -6,8 +6,10 @@ defmodule Situ.CLI.Commands do
     Cluster,
     Dataset,
     Devices,
+    New,
     Plugin,
     Query,
+    Run,
     Serve,
     Shell,
     Store,
@@ -18,6 +20,8 @@ defmodule Situ.CLI.Commands do
   }
 
   @modules [
+    New,
+    Run,
     Store.Inspection,
     Store.Pyramid,
     Store.Attachments,

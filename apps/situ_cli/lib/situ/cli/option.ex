@@ -22,9 +22,6 @@ defmodule Situ.CLI.Option do
           negated?: boolean()
         }
 
-  @units %{"ns" => 1, "us" => 1_000, "ms" => 1_000_000, "s" => 1_000_000_000}
-         |> Map.merge(%{"m" => 60_000_000_000, "min" => 60_000_000_000, "h" => 3_600_000_000_000})
-
   @doc """
   Builds an option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`.
 
@@ -99,12 +96,8 @@ defmodule Situ.CLI.Option do
   end
 
   def parse_value(%__MODULE__{type: :span} = option, text) do
-    with {number, unit} <- Float.parse(text),
-         {:ok, ns} <- Map.fetch(@units, if(unit == "", do: "s", else: unit)) do
-      {:ok, round(number * ns)}
-    else
-      _ -> type_error(option, "a span of time like 10s, 250ms, 1.5m or 1h", text)
-    end
+    with :error <- Situ.Time.parse_duration(text),
+         do: type_error(option, "a span of time like 10s, 250ms, 1.5m or 1h", text)
   end
 
   def parse_value(%__MODULE__{type: words} = option, text) when is_list(words) do

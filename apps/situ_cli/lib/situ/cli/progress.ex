@@ -1,6 +1,7 @@
 defmodule Situ.CLI.Progress do
   @moduledoc false
   # Shows a progress bar on standard error if that is a terminal and the work takes longer than 100 ms.
+  alias Situ.CLI.Terminal
 
   @spec with_progress(
           String.t(),
@@ -10,40 +11,26 @@ defmodule Situ.CLI.Progress do
           result
         when result: term()
   def with_progress(label, opts, work) do
-    case if(opts[:quiet] || opts[:json], do: nil, else: open_terminal()) do
+    case Terminal.open(opts) do
       nil -> work.(fn _, _ -> :ok end)
-      device -> with_bar(label, device, work)
+      terminal -> with_bar(label, terminal, work)
     end
   end
 
-  # Without a shell the VM does not know its terminal, but the system does. The terminal is opened again, because raw
-  # writes reach it before the next line of standard output.
-  defp open_terminal do
-    with {:ok, device} <- File.read_link("/proc/self/fd/2"),
-         true <- device =~ ~r{\A/dev/(pts/|tty|console)},
-         {:ok, device} <- :file.open(device, [:write, :raw, :binary]) do
-      device
-    else
-      _ -> nil
-    end
-  end
-
-  defp with_bar(label, device, work) do
-    state = :atomics.new(2, signed: true)
-    :atomics.put(state, 1, now_ms())
-    result = work.(&draw_bar(device, label, {&1, &2}, state))
-    if :atomics.get(state, 2) == 1, do: :file.write(device, "\r\e[K")
-    _ = :file.close(device)
+  defp with_bar(label, terminal, work) do
+    drawn = :atomics.new(1, signed: true)
+    :atomics.put(drawn, 1, now_ms())
+    result = work.(&draw_bar(terminal, label, {&1, &2}, drawn))
+    Terminal.close(terminal)
     result
   end
 
-  defp draw_bar(_device, _label, {_, 0}, _shown), do: :ok
+  defp draw_bar(_terminal, _label, {_, 0}, _drawn), do: :ok
 
-  defp draw_bar(device, label, {done, total}, state) do
-    if now_ms() - :atomics.get(state, 1) > 100 do
-      :atomics.put(state, 1, now_ms())
-      :atomics.put(state, 2, 1)
-      :file.write(device, "\r" <> format_bar(label, done, total))
+  defp draw_bar(terminal, label, {done, total}, drawn) do
+    if now_ms() - :atomics.get(drawn, 1) > 100 do
+      :atomics.put(drawn, 1, now_ms())
+      Terminal.replace_line(terminal, format_bar(label, done, total))
     end
   end
 

@@ -86,8 +86,7 @@ defmodule Situ.CLI.Task do
       for task <- tasks do
         Output.puts("#{task.name}  #{task.about}")
 
-        for option <- task.options,
-            do: Output.puts("    " <> option_line(describe_option(option)))
+        for line <- Setting.describe_options(task.options), do: Output.puts("    " <> line)
       end
     end
 
@@ -99,16 +98,11 @@ defmodule Situ.CLI.Task do
     %{name: name, doc: spec[:doc], required: spec[:required] == true, default: default}
   end
 
-  defp option_line(%{required: true} = option), do: "#{option.name}: #{option.doc} Required."
-
-  defp option_line(option),
-    do: "#{option.name}: #{option.doc} (default #{inspect(option.default)})"
-
   defp run_task(%{path: path, task: name}, opts) do
     start_apps()
     {module, task} = load_task!(name)
     config = load_config(opts)
-    options = unwrap!(Dataset.Task.parse_options(task.options, config))
+    options = unwrap!(Situ.Options.parse(config, task.options))
     if opts[:save_config], do: save_config(opts[:save_config], options)
     dataset = Situ.CLI.Dataset.open_dataset!(path)
 

@@ -2,7 +2,7 @@ defmodule Situ.Cluster.Deployment do
   @moduledoc false
   # Holds the arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node. They must therefore be plain
   # data.
-  alias Situ.{Error, Options}
+  alias Situ.{Error, Options, Pipeline}
 
   @location {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
 
@@ -109,13 +109,14 @@ defmodule Situ.Cluster.Deployment do
   def new(module, opts) when is_atom(module) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          :ok <- check_pipeline(module),
+         {:ok, build_opts} <- Pipeline.validate_options(module, opts[:opts]),
          :ok <- check_name(opts[:name]),
          {:ok, rules} <- parse_rules(opts[:place], []) do
       {:ok,
        %__MODULE__{
          name: opts[:name] || module |> Module.split() |> List.last(),
          module: module,
-         opts: opts[:opts],
+         opts: build_opts,
          rules: rules,
          checkpoint: opts[:checkpoint],
          lease: opts[:lease],

@@ -35,7 +35,7 @@ defmodule Situ.Studio.BatchRuns do
   def start_run(studio, {server, file}, task, sessions, config, opts \\ []) do
     with {:ok, module} <- Task.fetch_task(task),
          %{options: schema, output: output} = module.task(),
-         {:ok, options} <- Task.parse_options(schema, config),
+         {:ok, options} <- Situ.Options.parse(config, schema),
          {:ok, dataset} <- Datasets.reload_dataset(server, file),
          {:ok, chosen} <- select_sessions(dataset, sessions) do
       opts = Keyword.put_new(opts, :output, output)

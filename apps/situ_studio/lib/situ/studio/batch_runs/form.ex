@@ -68,7 +68,7 @@ defmodule Situ.Studio.BatchRuns.Form do
   defp format_value(value), do: value
 
   @doc """
-  Parses submitted fields into a configuration for `Situ.Dataset.Task.parse_options/2`. Empty fields are left out.
+  Parses submitted fields into a configuration for `Situ.Options.parse/2`. Empty fields are left out.
   """
   @spec parse_config(Options.schema(), map()) :: {:ok, map()} | {:error, Error.t()}
   def parse_config(schema, params) do

@@ -1,0 +1,144 @@
+defmodule Situ.CLI.New do
+  @moduledoc false
+  # `situ new`: creates a project that uses this Situ, or adds a component, a visualizer or a task to a project.
+  @behaviour Situ.CLI.Verb
+
+  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.New.{Name, Template}
+  alias Situ.Error
+  alias Situ.Studio.Plugins
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["new"],
+        summary: "create a project with a pipeline, a component and tests",
+        about: """
+        Creates a Mix project in the folder PATH. It uses this Situ without compiling it again, and contains a pipeline
+        that runs, a component, tests on a virtual clock, a layout for the studio and a release with a systemd unit.
+
+        With --component, --task or --visualizer, adds a working example to the project in the current folder instead.
+        """,
+        arguments: [
+          path: [
+            kind: :text,
+            optional: true,
+            doc: "the folder; its last part is the project's name"
+          ]
+        ],
+        options: [
+          Option.new(:umbrella, :flag, "create an umbrella project with one application"),
+          Option.new(:component, :string, "add a component and its test", value: "NAME"),
+          Option.new(:task, :string, "add a batch task for datasets", value: "NAME"),
+          Option.new(:visualizer, :string, "add a plug-in for the studio", value: "NAME")
+        ],
+        examples: ["situ new lobby", "situ new --component blink-detector"],
+        run: &create/2
+      }
+    ]
+  end
+
+  defp create(%{path: path}, opts) do
+    case {path, for(kind <- [:component, :task, :visualizer], opts[kind], do: {kind, opts[kind]})} do
+      {nil, []} -> throw({:usage, "PATH is missing (the folder of the new project)"})
+      {nil, [{kind, name}]} -> add_part(kind, name)
+      {path, []} -> create_project(path, opts)
+      {nil, _several} -> throw({:usage, "give one of --component, --task and --visualizer"})
+      {path, _part} -> throw({:usage, "a part is added to the current folder; leave out #{path}"})
+    end
+  end
+
+  defp create_project(path, opts) do
+    path = Path.expand(path)
+    name = Error.unwrap!(Name.parse(Path.basename(path)))
+
+    if File.exists?(path) and File.ls(path) != {:ok, []} do
+      raise Error.new(:exists, "#{path} already exists", fix: "choose another folder")
+    end
+
+    files =
+      if opts[:umbrella],
+        do: Template.umbrella_files(name, situ_folder()),
+        else: Template.project_files(name, situ_folder())
+
+    Error.unwrap!(Template.write(files, path))
+    for {file, _} <- files, do: Output.puts("  " <> Path.join(Path.relative_to_cwd(path), file))
+    Output.puts(next_steps(path, name, opts))
+    0
+  end
+
+  defp next_steps(path, name, opts) do
+    folder = Path.relative_to_cwd(path)
+    project = if opts[:umbrella], do: "#{folder}/apps/#{name.file}", else: folder
+
+    """
+
+    Your project is ready. Try it:
+
+      cd #{project}
+      situ run              # runs the pipeline; Ctrl-C stops it
+      situ run --studio     # shows it in the browser
+      mix test
+    #{path_hint()}\
+    """
+  end
+
+  # The commands above work only if `situ` is on the PATH.
+  defp path_hint do
+    if System.find_executable("situ"),
+      do: "",
+      else: "\n`situ` is not on your PATH: export PATH=#{situ_folder()}/bin:$PATH\n"
+  end
+
+  defp add_part(:visualizer, name) do
+    check_project()
+
+    case Plugins.Template.write(name, "visualizers") do
+      {:ok, folder, files} ->
+        for file <- files, do: Output.puts("  " <> Path.join(folder, file))
+        Output.puts("Try it: situ studio recordings --plugins visualizers")
+        0
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  defp add_part(kind, text) do
+    project = check_project()
+    name = Error.unwrap!(Name.parse(text))
+    files = Template.part_files(kind, name, project)
+    Error.unwrap!(Template.write(files, "."))
+    for {file, _} <- files, do: Output.puts("  " <> file)
+    Output.puts(part_hint(kind, name, project))
+    0
+  end
+
+  defp part_hint(:component, name, project),
+    do: "Use it: Situ.via(stream, #{project.module}.#{name.module}). Test it: mix test"
+
+  defp part_hint(:task, name, project),
+    do: "Run it: situ task run DATASET lib/#{project.file}/#{name.file}.ex --set stream=NAME"
+
+  # The name of the project in the current folder, as its mix.exs gives it.
+  defp check_project do
+    with {:ok, text} <- File.read("mix.exs"),
+         [_, app] <- Regex.run(~r/\bapp: :([a-z][a-z0-9_]*)/, text),
+         {:ok, name} <- Name.parse(app) do
+      name
+    else
+      _ ->
+        raise Error.new(:no_project, "the current folder is not the folder of an application",
+                why: "it has no mix.exs with `app:`",
+                fix: "change to the project's folder, or create one with `situ new PATH`"
+              )
+    end
+  end
+
+  # bin/situ sets SITU_ROOT. Otherwise, this application is in _build/ENV/lib of the checkout.
+  defp situ_folder do
+    System.get_env("SITU_ROOT") ||
+      :situ_cli |> :code.lib_dir() |> to_string() |> Path.join("../../../..") |> Path.expand()
+  end
+end

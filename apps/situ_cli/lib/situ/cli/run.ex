@@ -1,0 +1,225 @@
+defmodule Situ.CLI.Run do
+  @moduledoc false
+  # `situ run`: runs the pipeline of an Elixir file or of a project.
+  @behaviour Situ.CLI.Verb
+
+  alias Situ.CLI.{Desktop, Option, Output, Setting, Terminal, Verb}
+  alias Situ.CLI.Run.{Interrupt, Project, Recorder, Script, Summary, Watcher}
+  alias Situ.{Error, Options, Pipeline, Studio}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["run"],
+        summary: "run the pipeline of an Elixir file or of a project",
+        about: """
+        FILE contains a module with `use Situ.Pipeline`, or ends with a function: fn p -> ... end. It can also be the
+        folder of a project (see `situ new`), and is the current folder by default. Ctrl-C stops the pipeline: sources
+        end first, messages in flight are delivered, and recordings are closed. Press it again to end at once.
+
+        A file is compiled and run without restrictions, so use only files that you trust.
+        """,
+        arguments: [
+          file: [kind: :file, optional: true, doc: "an Elixir file, or the folder of a project"]
+        ],
+        options: options(),
+        examples: [
+          "situ run lobby.exs",
+          "situ run lobby.exs --set threshold=0.6 --record recordings/lobby --studio",
+          "situ run lobby.exs --input talk.mp4 --speed max"
+        ],
+        run: &run_file/2
+      }
+    ]
+  end
+
+  defp options do
+    [
+      Option.new(:set, :string, "an option of the pipeline; VALUE is JSON or text",
+        value: "NAME=VALUE",
+        many?: true
+      ),
+      Option.new(:input, :path, "the same as --set input=PATH", value: "PATH"),
+      Option.new(:options, :flag, "list the pipeline's options, and do not run it"),
+      Option.new(:module, :string, "the pipeline's module, if there are several", value: "NAME"),
+      Option.new(:record, :path, "record the pipeline's named streams", value: "FOLDER/NAME"),
+      Option.new(:all, :flag, "with --record: record all streams"),
+      Option.new(:studio, :flag, "show the pipeline in the browser until Ctrl-C"),
+      Option.new(:port, :integer, "the studio's port; 0 selects a free one", default: 4040),
+      Option.new(:open, :flag, "with --studio: do not open the browser", negated?: true),
+      Option.new(:speed, :string, "a factor of real time, or max", value: "X|max", default: "1"),
+      Option.new(:duration, :span, "stop after this time")
+    ]
+  end
+
+  defp run_file(%{file: file}, opts) do
+    {:ok, _} = Application.ensure_all_started(:situ_cli)
+    path = file || "."
+    speed = parse_speed(opts[:speed])
+    check_recording(opts[:record])
+
+    case Error.unwrap!(load_pipeline(path, opts[:module])) do
+      {:value, value} -> report_value(value, path, opts)
+      {:pipeline, spec} -> run_or_list(spec, path, speed, opts)
+    end
+  end
+
+  defp load_pipeline(path, module) do
+    if File.dir?(path),
+      do: Project.load(path, module),
+      else: Script.load(path, module)
+  end
+
+  # The file has run its pipelines itself.
+  defp report_value(value, path, opts) do
+    if Enum.any?([:record, :studio, :duration, :input], &opts[&1]) or opts[:set] != [] do
+      raise Error.new(:no_pipeline, "#{path} has run, but defines no pipeline for these options",
+              fix:
+                "define a module with `use Situ.Pipeline`, or end the file with `fn p -> ... end`"
+            )
+    end
+
+    case value do
+      {:ok, %Pipeline.Report{} = report} -> report_result({:ok, report}, opts)
+      {:error, %Error{} = error} -> raise error
+      _other -> 0
+    end
+  end
+
+  defp run_or_list(spec, path, speed, opts) do
+    if opts[:options] do
+      list_options(spec, path)
+    else
+      values = Error.unwrap!(parse_options(spec, path, settings(opts)))
+      run_pipeline(spec, values, [name: pipeline_name(spec, path), speed: speed] ++ opts)
+    end
+  end
+
+  defp settings(opts) do
+    input = if opts[:input], do: [{"input", opts[:input]}], else: []
+    Setting.parse_settings(opts[:set]) ++ input
+  end
+
+  defp parse_options(spec, path, settings) do
+    case {option_schema(spec), settings} do
+      {nil, []} -> {:ok, []}
+      {nil, [{name, _} | _]} -> {:error, undeclared_option_error(path, name)}
+      {schema, settings} -> Options.parse(Map.new(settings), schema)
+    end
+  end
+
+  defp option_schema(module) when is_atom(module),
+    do: if(function_exported?(module, :options, 0), do: module.options())
+
+  defp option_schema(_function), do: nil
+
+  defp undeclared_option_error(path, name) do
+    Error.new(:unknown_option, "the pipeline in #{path} has no option #{inspect(name)}",
+      why: "it declares no options",
+      fix: "declare it: use Situ.Pipeline, options: [#{name}: [type: ..., doc: ...]]"
+    )
+  end
+
+  defp list_options(spec, path) do
+    case option_schema(spec) do
+      none when none in [nil, []] -> Output.puts("The pipeline in #{path} declares no options.")
+      schema -> schema |> Setting.describe_options() |> Enum.each(&Output.puts/1)
+    end
+
+    0
+  end
+
+  defp pipeline_name(module, _path) when is_atom(module),
+    do: module |> Module.split() |> List.last()
+
+  defp pipeline_name(_function, path), do: path |> Path.basename() |> Path.rootname()
+
+  defp run_pipeline(spec, values, opts) do
+    Process.flag(:trap_exit, true)
+    build = if is_atom(spec), do: &spec.build(&1, values), else: spec
+    build = if opts[:record], do: Recorder.record(build, opts[:record], opts[:all]), else: build
+    studio = if opts[:studio], do: Error.unwrap!(start_studio(opts))
+
+    Interrupt.with_message(:stop, fn ->
+      replay = [speed: opts[:speed]]
+
+      pipeline =
+        Error.unwrap!(Pipeline.start(build, pipeline: [name: opts[:name], replay: replay]))
+
+      announce_start(studio, opts)
+      result = await_result(pipeline, opts)
+      status = report_result(result, opts)
+      if studio, do: keep_studio(studio)
+      status
+    end)
+  end
+
+  defp await_result(pipeline, opts) do
+    if opts[:duration],
+      do: Process.send_after(self(), :time_over, div(opts[:duration], 1_000_000))
+
+    terminal = Terminal.open(opts)
+    Watcher.await_end(pipeline, terminal)
+    Terminal.close(terminal)
+    Pipeline.await(pipeline)
+  end
+
+  defp start_studio(opts) do
+    folder = if opts[:record], do: Path.dirname(opts[:record])
+    if folder, do: File.mkdir_p(folder)
+
+    Studio.start_link(
+      path: folder,
+      pipelines: [{opts[:name], opts[:name]}],
+      port: opts[:port]
+    )
+  end
+
+  defp announce_start(studio, opts) do
+    unless opts[:json] or opts[:quiet],
+      do: Output.warn("#{opts[:name]} is running; Ctrl-C stops it")
+
+    if studio do
+      url = Studio.url(studio, Studio.only_item(studio))
+      Output.warn("The studio shows it at #{url}")
+      if opts[:open], do: Desktop.open_url(url)
+    end
+  end
+
+  defp report_result({:ok, report}, opts) do
+    Summary.print(Summary.new(report, opts[:record] != nil), opts)
+    0
+  end
+
+  defp report_result({:error, error}, _opts), do: raise(error)
+
+  # Whoever looks at the pipeline may want to look at its recording.
+  defp keep_studio(studio) do
+    Output.warn("The pipeline has ended. The studio keeps running until Ctrl-C.")
+
+    receive do
+      :stop -> :ok
+      {:EXIT, ^studio, _reason} -> :ok
+    end
+  end
+
+  defp parse_speed("max"), do: :max
+
+  defp parse_speed(text) do
+    case Float.parse(text) do
+      {speed, ""} when speed > 0 -> speed
+      _ -> throw({:usage, "--speed takes a number above 0, or max, not #{inspect(text)}"})
+    end
+  end
+
+  defp check_recording(nil), do: :ok
+
+  defp check_recording(path) do
+    if Path.basename(path) in ["", ".", "/"] or String.ends_with?(path, "/"),
+      do:
+        throw(
+          {:usage, "--record takes FOLDER/NAME, such as recordings/lobby, not #{inspect(path)}"}
+        )
+  end
+end

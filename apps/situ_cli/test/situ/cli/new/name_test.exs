@@ -1,0 +1,4 @@
+defmodule Situ.CLI.New.NameTest do
+  use ExUnit.Case, async: true
+  doctest Situ.CLI.New.Name
+end
