@@ -145,7 +145,7 @@ situ_draining() {
   # A signal ends `wait`, but not the machine.
   while :; do
     status=0
-    wait "$vm" || status=$?
+    wait "$vm" 2>/dev/null || status=$?
     kill -0 "$vm" 2>/dev/null || break
   done
   # A killed machine leaves its last status line on the terminal.
@@ -161,13 +161,11 @@ situ_draining() {
 # then changes to the caller's folder. It uses a file handle, because the folder's name may not be UTF-8. It does not
 # read .erlang (no_dot_erlang).
 start_vm() {
-  local elixir yaws folder flags=$1 here=$PWD
+  local elixir yaws flags=$1
   shift
   elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
-  yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  # A folder that cannot be listed cannot be opened either, so the machine changes to it by name.
-  if { exec {folder}<.; } 2>/dev/null && [ -d "/dev/fd/$folder/" ]; then folder=/dev/fd/$folder; else folder=$here; fi
-  cd "$SITU_ROOT/bin/lib"
+  yaws=$(find_yaws)
+  enter_start_folder
   # A crash dump contains the entire memory, including tokens, so none is written unless ERL_CRASH_DUMP names a file.
   [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
   # Standard output is for results, so the loggers of Erlang and Elixir write to standard error. As in Elixir's logger,
@@ -178,5 +176,24 @@ start_vm() {
   exec erl -boot no_dot_erlang -noshell +Bd $flags \
     -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \
     -kernel logger "$erlang_log" -logger console '[{device,standard_error}]' \
-    -run code del_path . -run file set_cwd / -run file set_cwd "$folder" "$@"
+    -run code del_path . -run file set_cwd / -run file set_cwd "$caller_folder" "$@"
+}
+
+find_yaws() { ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true; }
+
+# enter_start_folder: changes to the folder where machines start, and sets caller_folder, by which a machine returns.
+enter_start_folder() {
+  local handle here=$PWD
+  # A folder that cannot be listed cannot be opened either, so the machine changes to it by name.
+  if { exec {handle}<.; } 2>/dev/null && [ -d "/dev/fd/$handle/" ]; then caller_folder=/dev/fd/$handle; else caller_folder=$here; fi
+  cd "$SITU_ROOT/bin/lib"
+}
+
+# situ_iex [FILE]: opens Elixir's shell on the production build, with FILE or the project of the current folder.
+situ_iex() {
+  enter_start_folder
+  export SITU_IEX_FILE=${1:-}
+  exec iex --dot-iex "$SITU_ROOT/bin/lib/dot_iex.exs" --erl "-boot no_dot_erlang $(release_flags) \
+    -pa $(find_yaws) $(printf '%s ' "$SITU_ROOT"/_build/prod/lib/*/ebin) \
+    -run code del_path . -run file set_cwd / -run file set_cwd $caller_folder"
 }

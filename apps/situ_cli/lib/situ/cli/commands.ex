@@ -6,6 +6,8 @@ defmodule Situ.CLI.Commands do
     Cluster,
     Dataset,
     Devices,
+    Doctor,
+    Interactive,
     New,
     Plugin,
     Query,
@@ -22,6 +24,8 @@ defmodule Situ.CLI.Commands do
   @modules [
     New,
     Run,
+    Interactive,
+    Doctor,
     Store.Inspection,
     Store.Pyramid,
     Store.Attachments,

@@ -57,7 +57,9 @@ defmodule Situ.Infer.Engine.Ort do
     with :busy <- Native.run_inline(handle, rows), do: Native.run_dirty(handle, rows)
   end
 
-  defp ensure_library do
+  @doc "Loads ONNX Runtime, unless it is loaded. Error: `:no_onnxruntime`."
+  @spec ensure_library() :: :ok | {:error, Situ.Error.t()}
+  def ensure_library do
     path = library_path()
 
     cond do
