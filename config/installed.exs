@@ -1,5 +1,6 @@
 # Adds the compiled applications of this Situ to the code path of another project's mix. The `mix.exs` that `situ new`
 # writes requires this file, so the project neither compiles Situ again nor needs Rust.
+# See docs/adr/0002-projects-use-the-compiled-situ.md.
 root = Path.expand("..", __DIR__)
 applications = root |> Path.join("_build/prod/lib/*/ebin") |> Path.wildcard()
 
@@ -10,5 +11,6 @@ if applications == [] do
   """)
 end
 
-# The studio's web server comes from the system's packages.
-for ebin <- applications ++ Path.wildcard("/usr/lib/yaws-*/ebin"), do: Code.append_path(ebin)
+# The link to the studio's web server; `apps/situ_live/mix.exs` says why it is a link.
+linked = root |> Path.join("_build/linked/*/ebin") |> Path.wildcard()
+for ebin <- applications ++ linked, do: Code.append_path(ebin)

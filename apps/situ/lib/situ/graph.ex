@@ -4,7 +4,7 @@ defmodule Situ.Graph do
   # functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `build/1` builds a graph
   # without a pipeline process, for components that run their own graphs.
   alias Situ.{Delivery, Error, Options, Type}
-  alias Situ.Graph.{Edge, Placement, Vertex}
+  alias Situ.Graph.{Edge, Placement, StreamNames, Vertex}
 
   defstruct vertices: %{},
             edges: %{},
@@ -179,42 +179,10 @@ defmodule Situ.Graph do
   defp surrounding_scope(graph, scope),
     do: Map.get(graph.scopes, scope, %{policy: nil, unit: nil})
 
-  @doc "Returns the default name of an output's stream: the node's path, plus the output's name if there are several."
-  @spec stream_name(String.t(), atom(), keyword()) :: String.t()
-  def stream_name(path, _output, [_only]), do: path
-  def stream_name(path, output, _outputs), do: path <> "." <> Atom.to_string(output)
-
-  @doc "Returns every stream's name with its vertex and output; an explicit name replaces the default name."
-  @spec stream_names(t()) :: %{String.t() => {pos_integer(), atom()}}
-  def stream_names(%__MODULE__{} = graph) do
-    default =
-      for {id, vertex} <- graph.vertices, {output, _} <- vertex.outputs, into: %{} do
-        {stream_name(vertex.path, output, vertex.outputs), {id, output}}
-      end
-
-    Map.merge(default, graph.stream_names)
-  end
-
-  @doc "Lists the names of all streams, or only of those that were named explicitly, in the order of construction."
-  @spec list_stream_names(t(), :all | :named) :: [String.t()]
-  def list_stream_names(%__MODULE__{} = graph, which) do
-    names = Map.new(graph.stream_names, fn {name, port} -> {port, name} end)
-
-    for {id, vertex} <- Enum.sort(graph.vertices),
-        {output, _} <- vertex.outputs,
-        given = Map.fetch(names, {id, output}),
-        which == :all or given != :error or vertex.named? do
-      case given do
-        {:ok, name} -> name
-        :error -> stream_name(vertex.path, output, vertex.outputs)
-      end
-    end
-  end
-
   @doc "Returns the stream with this name. Raises `Situ.Error` if there is none."
   @spec fetch_stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
   def fetch_stream!(%__MODULE__{} = graph, handle, name) do
-    named = stream_names(graph)
+    named = StreamNames.map_names(graph)
 
     case named do
       %{^name => {id, output}} ->

@@ -34,7 +34,7 @@ defmodule Situ.Node do
     case Keyword.fetch(node.outputs, name) do
       {:ok, type} ->
         %Situ.Stream{pipeline: node.pipeline, node: node.id, output: name, type: type}
-        |> Map.put(:name, Situ.Graph.stream_name(node.path, name, node.outputs))
+        |> Map.put(:name, Situ.Graph.StreamNames.default_name(node.path, name, node.outputs))
 
       :error ->
         raise Situ.Graph.unknown_port(:output, node, name)

@@ -80,7 +80,7 @@ defmodule Situ.Pipeline do
   """
   alias Situ.{Argument, Error, Graph, Node, Stream}
   alias Situ.Application.{CodeReload, Directory}
-  alias Situ.Graph.{Builder, Handle}
+  alias Situ.Graph.{Builder, Handle, StreamNames}
   alias Situ.Pipeline.{Client, Launcher, Report}
 
   @typedoc "A handle, passed to `build/2` and returned by `new/1`."
@@ -147,11 +147,7 @@ defmodule Situ.Pipeline do
       {:ok, [threshold: 0.5]}
   """
   @spec validate_options(spec(), keyword()) :: {:ok, keyword()} | {:error, Error.t()}
-  def validate_options(spec, opts) do
-    if is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0),
-      do: Situ.Options.validate(opts, spec.options()),
-      else: {:ok, opts}
-  end
+  def validate_options(spec, opts), do: Launcher.validate_options(spec, opts)
 
   @doc """
   Builds the pipeline, runs it to completion and returns the report, or the first error (`error.meta.errors` holds all
@@ -337,7 +333,7 @@ defmodule Situ.Pipeline do
 
   @doc """
   Returns the names of the streams of a pipeline that is being built or extended, in order: all streams, or with
-  `:named` only those that have a name of their own (`name:` or `Situ.name/2`).
+  `:named` only the streams that were named explicitly (`name:` or `Situ.name/2`).
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p ->
       ...>   p |> Situ.from_enumerable(1..3, every: 1) |> Situ.map(&(&1 + 1), name: "Next")
@@ -350,7 +346,7 @@ defmodule Situ.Pipeline do
   def stream_names(p, which \\ :all)
 
   def stream_names(%Handle{} = p, which) when which in [:all, :named],
-    do: Builder.update_graph(p, &{Graph.list_stream_names(&1, which), &1})
+    do: Builder.update_graph(p, &{StreamNames.list_names(&1, which), &1})
 
   def stream_names(%Handle{}, other),
     do: Argument.raise_invalid!(other, ":all or :named", "Situ.Pipeline.stream_names(p, :named)")

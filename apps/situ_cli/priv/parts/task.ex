@@ -1,7 +1,7 @@
 defmodule {{Module}} do
   @moduledoc """
-  A task over the sessions of a dataset: writes a stream of booleans that tell where a stream of numbers is above a
-  threshold.
+  A task over the sessions of a dataset: writes a stream of booleans, which are true where a stream of numbers is above
+  a threshold.
 
       situ task run study.json lib/{{path}}.ex --set stream=Level --set threshold=0.5
   """

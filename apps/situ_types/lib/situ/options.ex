@@ -67,7 +67,10 @@ defmodule Situ.Options do
   """
   @spec parse(%{String.t() => term()}, schema()) :: {:ok, keyword()} | {:error, Error.t()}
   def parse(values, schema) do
-    with {:ok, opts} <- Parsing.parse(values, schema), do: validate(opts, schema)
+    case Parsing.parse(values, schema) do
+      {:ok, opts} -> validate(opts, schema)
+      {:unknown, name} -> {:error, unknown_option_error(name, schema, &to_string/1)}
+    end
   end
 
   @doc """
@@ -162,23 +165,27 @@ defmodule Situ.Options do
         :ok
 
       bad ->
-        known = schema |> Enum.reject(&hidden_option?/1) |> Keyword.keys()
-
-        {:error,
-         Error.new(:unknown_option, "unknown option #{inspect(bad)}",
-           fix: unknown_option_hint(bad, known)
-         )}
+        {:error, unknown_option_error(bad, schema, &inspect/1)}
     end
   end
 
-  defp unknown_option_hint(_bad, []), do: "remove it: no options are supported here"
+  # `format` writes the known names as the caller writes them.
+  defp unknown_option_error(bad, schema, format) do
+    known = schema |> Enum.reject(&hidden_option?/1) |> Keyword.keys()
 
-  defp unknown_option_hint(bad, known) do
-    list = "Known options: " <> Enum.map_join(known, ", ", &inspect/1)
+    Error.new(:unknown_option, "unknown option #{inspect(bad)}",
+      fix: unknown_option_hint(bad, known, format)
+    )
+  end
+
+  defp unknown_option_hint(_bad, [], _format), do: "remove it: no options are supported here"
+
+  defp unknown_option_hint(bad, known, format) do
+    list = "Known options: " <> Enum.map_join(known, ", ", format)
 
     case nearest_name(bad, known) do
       nil -> list
-      near -> "did you mean #{inspect(near)}? " <> list
+      near -> "did you mean #{format.(near)}? " <> list
     end
   end
 

@@ -93,7 +93,7 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
 
   defp stream_name(view, vertex, output) do
     with nil <- view.names[{vertex.id, output}],
-         do: Graph.stream_name(vertex.path, output, vertex.outputs)
+         do: Graph.StreamNames.default_name(vertex.path, output, vertex.outputs)
   end
 
   defp describe_edge(%{id: id} = edge, view, positions) do

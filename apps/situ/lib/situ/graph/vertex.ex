@@ -3,8 +3,8 @@ defmodule Situ.Graph.Vertex do
   # A component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
   #
   # Ports are keyword lists. Inputs are `%{type, optional}`, outputs are `%{type, optional, source_id}`.
-  # With `holds: false`, messages are not held back until the clock of their pipeline reaches them. `named?` tells
-  # whether the name was given, and not derived from the module or operator.
+  # With `holds: false`, messages are not held back until the clock of their pipeline reaches them. `named?` is
+  # true if the name was given, and false if it is derived from the module or operator.
 
   @enforce_keys [:id, :module]
   defstruct [

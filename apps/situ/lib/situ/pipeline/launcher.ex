@@ -58,12 +58,21 @@ defmodule Situ.Pipeline.Launcher do
     {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
 
     with {:ok, settings} <- Settings.parse(settings, mode, spec),
-         {:ok, opts} <- Situ.Pipeline.validate_options(spec, opts) do
+         {:ok, opts} <- validate_options(spec, opts) do
       origin = if is_atom(spec), do: {spec, opts}
       settings = %{settings | reply: reply && {self(), reply}, origin: origin}
       call = {__MODULE__, :init_it, [self(), spec, opts, settings]}
       normalize_result(Runtime.start_process(how, settings.name, call))
     end
+  end
+
+  @doc "Checks options against the schema of the pipeline's module; see `Situ.Pipeline.validate_options/2`."
+  @spec validate_options(Situ.Pipeline.spec(), keyword()) ::
+          {:ok, keyword()} | {:error, Error.t()}
+  def validate_options(spec, opts) do
+    if is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0),
+      do: Situ.Options.validate(opts, spec.options()),
+      else: {:ok, opts}
   end
 
   # A process that dies during `build` leaves only an exit reason.

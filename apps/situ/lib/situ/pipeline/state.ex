@@ -106,7 +106,7 @@ defmodule Situ.Pipeline.State do
   end
 
   def fetch_port(state, name) do
-    named = Graph.stream_names(state.graph)
+    named = Graph.StreamNames.map_names(state.graph)
 
     case named do
       %{^name => port} -> {:ok, port}

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Doctor do
   @moduledoc false
-  # `situ doctor`: reports what is installed, what is missing, and what to do about it.
+  # `situ doctor`: reports the installed and the missing parts, with the commands that install them.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Output, Verb}
@@ -12,10 +12,10 @@ defmodule Situ.CLI.Doctor do
     [
       %Verb{
         words: ["doctor"],
-        summary: "report what is installed, what is missing for what, and the devices",
+        summary: "report installed and missing programs, libraries and models, and the devices",
         about: """
         Checks the programs, libraries and models that Situ uses on this machine, and lists its devices. It changes
-        nothing. Exits with status 1 if something is missing that most programs need.
+        nothing. Exits with status 1 if a part is missing that most programs need.
         """,
         examples: ["situ doctor", "situ doctor --json"],
         run: &run_checks/2
@@ -93,7 +93,7 @@ defmodule Situ.CLI.Doctor do
         if Enum.any?(missing, &Check.required_and_missing?/1),
           do: "Run this first:\n" <> indent(required_fixes(missing)),
           else:
-            "All that most programs need is installed. To begin: situ new lobby\nFor the rest:\n" <>
+            "Everything that most programs need is installed. To begin: situ new lobby\nFor the rest:\n" <>
               indent(fixes)
     end
   end

@@ -29,7 +29,7 @@ defmodule Situ.CLI.Interactive do
     ]
   end
 
-  @doc "Starts all applications, loads the file, or the project of the current folder, and prints what is loaded."
+  @doc "Starts all applications, and loads and reports the file, or the project of the current folder."
   @spec start(Path.t()) :: :ok
   def start(file) do
     {:ok, _} = Application.ensure_all_started(:situ_cli)

@@ -92,7 +92,9 @@ defmodule Situ.CLI.Run do
       list_options(spec, path)
     else
       values = Error.unwrap!(parse_options(spec, path, settings(opts)))
-      run_pipeline(spec, values, [name: pipeline_name(spec, path), speed: speed] ++ opts)
+      layouts = if(File.dir?(path), do: path, else: Path.dirname(path)) |> Path.join("layouts")
+      settings = [name: pipeline_name(spec, path), speed: speed, layouts: layouts]
+      run_pipeline(spec, values, settings ++ opts)
     end
   end
 
@@ -172,7 +174,8 @@ defmodule Situ.CLI.Run do
     Studio.start_link(
       path: folder,
       pipelines: [{opts[:name], opts[:name]}],
-      port: opts[:port]
+      port: opts[:port],
+      layouts: if(File.dir?(opts[:layouts]), do: opts[:layouts])
     )
   end
 
@@ -194,7 +197,7 @@ defmodule Situ.CLI.Run do
 
   defp report_result({:error, error}, _opts), do: raise(error)
 
-  # Whoever looks at the pipeline may want to look at its recording.
+  # The recording can still be viewed.
   defp keep_studio(studio) do
     Output.warn("The pipeline has ended. The studio keeps running until Ctrl-C.")
 

@@ -146,7 +146,12 @@ defmodule Situ.CLI.RunTest do
       unique = System.unique_integer([:positive])
 
       module = fn name ->
-        "defmodule #{name}#{unique} do\n use Situ.Pipeline\n def build(p, _), do: Situ.from_enumerable(p, [1], every: 1)\nend\n"
+        """
+        defmodule #{name}#{unique} do
+          use Situ.Pipeline
+          def build(p, _), do: Situ.from_enumerable(p, [1], every: 1)
+        end
+        """
       end
 
       File.write!(file, module.("A") <> module.("B"))

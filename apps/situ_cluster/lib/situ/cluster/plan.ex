@@ -161,7 +161,7 @@ defmodule Situ.Cluster.Plan do
   end
 
   defp resolve_ports(names, graph) do
-    ports = Graph.stream_names(graph)
+    ports = Graph.StreamNames.map_names(graph)
 
     case Enum.find(names, &(not is_map_key(ports, &1))) do
       nil -> {:ok, Enum.map(names, &ports[&1])}
@@ -196,7 +196,7 @@ defmodule Situ.Cluster.Plan do
     for port <- Enum.uniq(Map.keys(readers) ++ published), into: %{} do
       {id, output} = port
       vertex = graph.vertices[id]
-      name = Graph.stream_name(vertex.path, output, vertex.outputs)
+      name = Graph.StreamNames.default_name(vertex.path, output, vertex.outputs)
       edges = Map.get(readers, port, [])
       lossy? = edges != [] and Enum.all?(edges, fn {_, policy} -> Delivery.lossy?(policy) end)
       direct? = port not in published and (lossy? or port in direct)

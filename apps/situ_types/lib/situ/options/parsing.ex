@@ -1,32 +1,17 @@
 defmodule Situ.Options.Parsing do
   @moduledoc false
-  # Converts options that were written as JSON or on a command line, where there are no atoms and no units, to the types
-  # of a schema.
-  alias Situ.{Error, Options, Time}
+  # Converts options from JSON or a command line, which have neither atoms nor units, to the types of a schema.
+  alias Situ.Time
 
-  @doc "Returns the options in the schema's names and types, not yet validated."
-  @spec parse(%{String.t() => term()}, Options.schema()) ::
-          {:ok, keyword()} | {:error, Error.t()}
+  @doc "Returns the options with the names and types of the schema, not yet validated, or the first unknown name."
+  @spec parse(%{String.t() => term()}, keyword()) :: {:ok, keyword()} | {:unknown, String.t()}
   def parse(values, schema) do
     Enum.reduce_while(values, {:ok, []}, fn {name, value}, {:ok, opts} ->
       case Enum.find(schema, fn {key, _} -> Atom.to_string(key) == name end) do
-        nil -> {:halt, {:error, unknown_option_error(name, schema)}}
+        nil -> {:halt, {:unknown, name}}
         {key, spec} -> {:cont, {:ok, [{key, convert_value(spec[:type], value)} | opts]}}
       end
     end)
-  end
-
-  defp unknown_option_error(name, schema) do
-    names = for {key, spec} <- schema, spec[:doc] != false, do: Atom.to_string(key)
-    Error.new(:unknown_option, "unknown option #{inspect(name)}", fix: suggest_name(name, names))
-  end
-
-  defp suggest_name(_name, []), do: "remove it: no options are supported here"
-
-  defp suggest_name(name, names) do
-    near = String.valid?(name) && Options.nearest_name(name, names)
-    hint = if near, do: "did you mean #{near}? ", else: ""
-    hint <> "Known options: " <> Enum.join(names, ", ")
   end
 
   # A string selects the choice of that name. An integer is accepted for a float, 90.0 for 90, a single string for a

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Doctor.Checks do
   @moduledoc false
-  # The checks of `situ doctor`, as a table for each kind of part: libraries of Situ, programs, models, optional programs.
+  # The checks of `situ doctor`: tables of Situ's libraries, of programs, of models and of optional programs.
   alias Situ.CLI.Doctor.Check
   alias Situ.Infer.{Engine, ModelStore}
 

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.New.Name do
   @moduledoc false
-  # The name of a project or of one of its parts, in the forms that files and modules need.
+  # The name of a project, or of a part of a project, in the forms that files and modules need.
   alias Situ.Error
 
   @enforce_keys [:file, :module]

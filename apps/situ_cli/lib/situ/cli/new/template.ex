@@ -2,7 +2,7 @@ defmodule Situ.CLI.New.Template do
   @moduledoc false
   # The files of a new project, of an umbrella project, and of parts of a project. They are made from the templates in
   # `priv`: names in double braces are replaced, the file name `APP` becomes the project's name, and the prefix `dot-`
-  # becomes a dot.
+  # becomes a dot. See docs/adr/0002-projects-use-the-compiled-situ.md.
   alias Situ.CLI.New.Name
   alias Situ.Error
 
@@ -55,7 +55,7 @@ defmodule Situ.CLI.New.Template do
 
   defp part_targets(:task, path), do: [{"task.ex", "lib/#{path}.ex"}]
 
-  @doc "Writes files below `folder`. If one of them exists, nothing is written. Errors: `:exists`, `:not_saved`."
+  @doc "Writes files below `folder`, or none if a file exists already. Errors: `:exists`, `:not_saved`."
   @spec write(files(), Path.t()) :: :ok | {:error, Error.t()}
   def write(files, folder) do
     case Enum.find(files, fn {path, _} -> File.exists?(Path.join(folder, path)) end) do

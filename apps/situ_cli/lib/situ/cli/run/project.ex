@@ -5,7 +5,7 @@ defmodule Situ.CLI.Run.Project do
   alias Situ.CLI.Run.Script
   alias Situ.{Error, Pipeline}
 
-  @doc "Compiles the project in `folder` and returns its pipeline. `name` selects one of several modules."
+  @doc "Compiles the project in `folder` and returns its pipeline. `name` is the module, if there are several."
   @spec load(Path.t(), String.t() | nil) ::
           {:ok, {:pipeline, Pipeline.spec()}} | {:error, Error.t()}
   def load(folder, name) do
@@ -56,11 +56,11 @@ defmodule Situ.CLI.Run.Project do
     end
   end
 
-  # Only the project's own applications are loaded. Situ's are loaded already.
+  # An application of an umbrella is built in the folder of the umbrella. Situ's applications are loaded already.
   defp load_modules(folder) do
-    folders = folder |> Path.absname() |> Path.join("_build/dev/lib/*/ebin") |> Path.wildcard()
-
-    for ebin <- folders,
+    for build <- ["_build", "../../_build"],
+        ebin <-
+          folder |> Path.join("#{build}/dev/lib/*/ebin") |> Path.expand() |> Path.wildcard(),
         app_file <- Path.wildcard(Path.join(ebin, "*.app")),
         {:ok, [{:application, app, properties}]} <- [:file.consult(app_file)],
         Application.spec(app) == nil do

@@ -11,7 +11,8 @@ defmodule Situ.CLI.Run.Script do
   @type t :: {:pipeline, Situ.Pipeline.spec()} | {:value, term()}
 
   @doc """
-  Evaluates the file and returns its pipeline, or its value if it defines none. `name` selects one of several modules.
+  Evaluates the file and returns its pipeline, or its value if it defines none. `name` is the module, if there are
+  several.
   """
   @spec load(Path.t(), String.t() | nil) :: {:ok, t()} | {:error, Error.t()}
   def load(path, name) do

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Run.Summary do
   @moduledoc false
-  # What a run of a pipeline did, in numbers: for the status line, and for the lines or the JSON at its end.
+  # Counts the messages of a run, for the status line and for the report at the end.
   alias Situ.CLI.Output
   alias Situ.Diagnostics.Snapshot
   alias Situ.Pipeline.Report
