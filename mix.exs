@@ -22,7 +22,11 @@ defmodule Situ.Umbrella.MixProject do
       situ: [
         include_executables_for: [:unix],
         # No cookie that other users of the machine can read.
-        steps: [:assemble, &Situ.Build.Release.remove_cookie/1],
+        steps: [
+          :assemble,
+          &Situ.Build.Release.remove_cookie/1,
+          &Situ.Build.Release.install_command_line/1
+        ],
         applications: [
           situ_types: :permanent,
           situ: :permanent,

@@ -2,7 +2,10 @@
 # writes requires this file, so the project neither compiles Situ again nor needs Rust.
 # See docs/adr/0002-projects-use-the-compiled-situ.md.
 root = Path.expand("..", __DIR__)
-applications = root |> Path.join("_build/prod/lib/*/ebin") |> Path.wildcard()
+# In a release, all applications are in one folder.
+applications =
+  ["_build/prod/lib/*/ebin", "lib/{situ,jiffy,yaws}*/ebin"]
+  |> Enum.flat_map(&Path.wildcard(Path.join(root, &1)))
 
 if applications == [] do
   Mix.raise("""

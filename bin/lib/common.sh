@@ -112,7 +112,15 @@ build_prod() {
 # elixir_plain ARGS...: does the same without the flags of a release.
 elixir_prod() { elixir_with "$(release_flags)" "$@"; }
 elixir_plain() { elixir_with "" "$@"; }
-release_flags() { grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' '; }
+release_flags() {
+  local file=$SITU_ROOT/rel/vm.args.eex
+  if in_release; then file=$(release_folder)/vm.args; fi
+  grep '^[+-]' "$file" | tr '\n' ' '
+}
+
+# in_release: succeeds if this file belongs to a release, which needs neither mix nor a build.
+in_release() { [ -d "$SITU_ROOT/releases" ]; }
+release_folder() { dirname "$SITU_ROOT"/releases/*/start_clean.boot; }
 
 elixir_with() {
   local flags=$1 colours=
@@ -161,11 +169,17 @@ situ_draining() {
 # then changes to the caller's folder. It uses a file handle, because the folder's name may not be UTF-8. It does not
 # read .erlang (no_dot_erlang).
 start_vm() {
-  local elixir yaws flags=$1
+  local erl elixir code flags=$1
   shift
-  elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
-  yaws=$(find_yaws)
   enter_start_folder
+  if in_release; then
+    erl=("$SITU_ROOT"/erts-*/bin/erl -boot "$(release_folder)/start_clean" -boot_var RELEASE_LIB "$SITU_ROOT/lib")
+    code=("$SITU_ROOT"/lib/*/ebin)
+  else
+    elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
+    erl=(erl -boot no_dot_erlang)
+    code=("$elixir"/lib/*/ebin $(find_yaws) "$SITU_ROOT"/_build/prod/lib/*/ebin)
+  fi
   # A crash dump contains the entire memory, including tokens, so none is written unless ERL_CRASH_DUMP names a file.
   [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
   # Standard output is for results, so the loggers of Erlang and Elixir write to standard error. As in Elixir's logger,
@@ -173,8 +187,7 @@ start_vm() {
   local erlang_log="[{handler,default,logger_std_h,#{config=>#{type=>standard_error},"
   erlang_log+="filters=>[{reports,{fun'logger_filters':domain/2,{stop,sub,[otp,sasl]}}}]}}]"
   # shellcheck disable=SC2086
-  exec erl -boot no_dot_erlang -noshell +Bd $flags \
-    -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \
+  exec "${erl[@]}" -noshell +Bd $flags -pa "${code[@]}" \
     -kernel logger "$erlang_log" -logger console '[{device,standard_error}]' \
     -run code del_path . -run file set_cwd / -run file set_cwd "$caller_folder" "$@"
 }
@@ -191,9 +204,16 @@ enter_start_folder() {
 
 # situ_iex [FILE]: opens Elixir's shell on the production build, with FILE or the project of the current folder.
 situ_iex() {
+  local iex=(iex --erl "-boot no_dot_erlang") code
   enter_start_folder
   export SITU_IEX_FILE=${1:-}
-  exec iex --dot-iex "$SITU_ROOT/bin/lib/dot_iex.exs" --erl "-boot no_dot_erlang $(release_flags) \
-    -pa $(find_yaws) $(printf '%s ' "$SITU_ROOT"/_build/prod/lib/*/ebin) \
+  code="$(find_yaws) $(printf '%s ' "$SITU_ROOT"/_build/prod/lib/*/ebin)"
+  if in_release; then
+    ERTS_BIN=$(echo "$SITU_ROOT"/erts-*/bin/)
+    export ERTS_BIN
+    iex=("$(release_folder)/iex" --boot "$(release_folder)/start_clean" --boot-var RELEASE_LIB "$SITU_ROOT/lib")
+    code=$(printf '%s ' "$SITU_ROOT"/lib/*/ebin)
+  fi
+  exec "${iex[@]}" --dot-iex "$SITU_ROOT/bin/lib/dot_iex.exs" --erl "$(release_flags) -pa $code \
     -run code del_path . -run file set_cwd / -run file set_cwd $caller_folder"
 }

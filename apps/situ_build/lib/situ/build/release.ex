@@ -1,7 +1,7 @@
 defmodule Situ.Build.Release do
   @moduledoc false
-  # A step of `mix release` that removes the cookie, so that other users of the machine cannot
-  # read it.
+  # Steps of `mix release`: remove the cookie, so that other users of the machine cannot read it,
+  # and install the command line.
   #
   #     releases: [situ: [steps: [:assemble, &Situ.Build.Release.remove_cookie/1]]]
   #
@@ -43,5 +43,23 @@ defmodule Situ.Build.Release do
     end
 
     closed
+  end
+
+  # The script that `mix release` writes controls the virtual machine (start, eval, rpc ...), and has the name of the
+  # release. Users expect the command line under this name.
+  @scripts ~w(bin/situ bin/lib/common.sh bin/lib/dot_iex.exs bin/lib/fetch-model config/installed.exs)
+
+  @doc "Renames Mix's script to `bin/situ-vm`, and installs the command line as `bin/situ`, with the files that it needs."
+  @spec install_command_line(Mix.Release.t()) :: Mix.Release.t()
+  def install_command_line(release) do
+    File.rename!(Path.join(release.path, "bin/situ"), Path.join(release.path, "bin/situ-vm"))
+
+    for script <- @scripts do
+      target = Path.join(release.path, script)
+      File.mkdir_p!(Path.dirname(target))
+      File.cp!(script, target)
+    end
+
+    release
   end
 end

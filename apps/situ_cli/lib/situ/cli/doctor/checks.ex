@@ -134,7 +134,13 @@ defmodule Situ.CLI.Doctor.Checks do
   end
 
   defp missing(check, fix), do: %{check | status: :missing, fix: fix}
-  defp setup_command(options), do: script("setup" <> options)
+
+  # A release does not contain bin/setup.
+  defp setup_command(options) do
+    command = script("setup" <> options)
+    if File.exists?(command), do: command, else: "build it in a checkout: bin/setup" <> options
+  end
+
   defp build_command, do: script("situ --version") <> ", which builds it"
 
   # In a checkout, bin/situ sets SITU_ROOT.
