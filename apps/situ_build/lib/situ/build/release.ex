@@ -49,7 +49,7 @@ defmodule Situ.Build.Release do
   # release. Users expect the command line under this name.
   @scripts ~w(bin/situ bin/lib/common.sh bin/lib/dot_iex.exs bin/lib/fetch-model config/installed.exs)
 
-  @doc "Renames Mix's script to `bin/situ-vm`, and installs the command line as `bin/situ`, with the files that it needs."
+  @doc "Renames Mix's script to `bin/situ-vm`, and installs the command line as `bin/situ`, with its files."
   @spec install_command_line(Mix.Release.t()) :: Mix.Release.t()
   def install_command_line(release) do
     File.rename!(Path.join(release.path, "bin/situ"), Path.join(release.path, "bin/situ-vm"))

@@ -11,6 +11,7 @@ defmodule Situ.CLI.Commands do
     New,
     Plugin,
     Query,
+    Release,
     Run,
     Serve,
     Shell,
@@ -44,6 +45,7 @@ defmodule Situ.CLI.Commands do
     Serve,
     Devices,
     Plugin,
+    Release,
     Shell
   ]
 
