@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Checksum do
   @moduledoc false
   # Computes a checksum over all bytes of a recording, as `Situ.Dataset.seal/2` describes it.
+  alias Situ.Dataset.StoreVersion
   alias Situ.Error
 
   @chunk 1_048_576
@@ -57,7 +58,10 @@ defmodule Situ.Dataset.Checksum do
     end
   end
 
+  # A path without a version means the newest version.
   defp list_files(path) do
+    path = if File.exists?(path), do: path, else: StoreVersion.newest_folder(path) || path
+
     cond do
       File.regular?(path) -> {:ok, [path]}
       File.dir?(path) -> {:ok, path |> Path.join("*") |> Path.wildcard() |> Enum.sort()}
