@@ -45,15 +45,17 @@ defmodule Situ.Annotation.Editor do
 
   @doc """
   Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
-  `stream:`, `schema:` (for a stream that does not exist yet), and GenServer options such as `name:`. Errors:
-  `:no_schema`, `:bad_journal` and the errors of the store.
+  `stream:`, `schema:` (for a stream that does not exist yet), `save_unwatched:` (whether the editor saves when its last
+  subscriber ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`, `:bad_journal` and the
+  errors of the store.
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
-    {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema])
+    {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema, :save_unwatched])
     {path, stream} = {Keyword.fetch!(own_opts, :path), Keyword.fetch!(own_opts, :stream)}
 
     with {:ok, state} <- EditorState.open_state(path, stream, own_opts[:schema]) do
+      state = Map.put(state, :save_unwatched?, own_opts[:save_unwatched] || false)
       started = GenServer.start_link(__MODULE__, state, opts)
       # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
@@ -262,7 +264,18 @@ defmodule Situ.Annotation.Editor do
 
   @impl true
   def handle_info({:DOWN, _, :process, pid, _}, state),
-    do: {:noreply, %{state | subscribers: Map.delete(state.subscribers, pid)}}
+    do: {:noreply, save_unwatched(%{state | subscribers: Map.delete(state.subscribers, pid)})}
 
   def handle_info(_, state), do: {:noreply, state}
+
+  # If it cannot save, the edits remain in the journal.
+  defp save_unwatched(%{save_unwatched?: true, unsaved?: true, subscribers: none} = state)
+       when none == %{} do
+    case save_version(state) do
+      {:ok, state} -> EditorState.unlock_journal(state)
+      {:error, _} -> state
+    end
+  end
+
+  defp save_unwatched(state), do: state
 end

@@ -17,7 +17,7 @@ export const commands = {
   left: (app) => toggleSide(app, "left"),
   right: (app) => toggleSide(app, "right"),
 
-  annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("annotation_dialog", {})),
+  annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("layer_dialog", {})),
   async derive(app, text = "") {
     const said = await askText({ title: "Expression of the derived stream, such as `Mic.Level` * 2", value: text });
     if (said?.text.trim()) app.options.push?.("derive", { text: said.text });

@@ -1,14 +1,14 @@
 defmodule Situ.Studio.Annotations do
   @moduledoc false
-  # Edits the annotations of one recording on behalf of a page: opens them, returns their state
-  # for display, and applies the page's requests.
+  # Edits a layer of annotations on behalf of a page: opens it, returns its state for display, and
+  # applies the page's requests.
   #
-  # Each stream has its own store next to the recording (`Situ.Studio.Annotations.Files`); the
-  # recording itself is never modified. Every edit is written to disk before it is acknowledged
+  # Layers are in separate stores (`Situ.Studio.Annotations.Layers`); recordings are never
+  # modified. Every edit is written to disk before it is acknowledged
   # (`Situ.Annotation.Editor`), so a crash of the page or the server loses nothing.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Edit, Editor, Layer, Schema}
-  alias Situ.Studio.Annotations.{Proposals, Request, SchemaForm, Files}
+  alias Situ.Studio.Annotations.{Proposals, Request, SchemaForm}
   alias Situ.Studio.Catalog
 
   @most 20_000
@@ -68,13 +68,14 @@ defmodule Situ.Studio.Annotations do
   end
 
   @doc """
-  Returns the editor of a stream of annotations, and starts it on the first call. `schema` creates a missing stream.
+  Returns the editor of a stream of annotations in the store at `store`, and starts it on the first call. `schema`
+  creates a missing stream.
   """
   @spec open_editor(Catalog.id(), Path.t(), String.t(), Schema.t() | nil) ::
           {:ok, pid()} | {:error, Error.t()}
-  def open_editor(studio, path, stream, schema) do
-    name = {:via, Registry, {Situ.Studio.Registry, {studio, :annotation, path, stream}}}
-    opts = [path: Files.store_path(path, stream), stream: stream, schema: schema, name: name]
+  def open_editor(studio, store, stream, schema) do
+    name = {:via, Registry, {Situ.Studio.Registry, editor_key(studio, store, stream)}}
+    opts = [path: store, stream: stream, schema: schema, name: name, save_unwatched: true]
     child = %{id: Editor, start: {Editor, :start_link, [opts]}, restart: :temporary}
 
     case DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), child) do
@@ -90,6 +91,28 @@ defmodule Situ.Studio.Annotations do
       {:error, reason} ->
         {:error, Error.new(:not_opened, "the annotations cannot be opened: #{inspect(reason)}")}
     end
+  end
+
+  defp editor_key(studio, store, stream), do: {studio, :annotation, Path.expand(store), stream}
+
+  @doc "Returns the running editor of a stream of annotations, or `nil`."
+  @spec find_editor(Catalog.id(), Path.t(), String.t()) :: pid() | nil
+  def find_editor(studio, store, stream) do
+    case Registry.lookup(Situ.Studio.Registry, editor_key(studio, store, stream)) do
+      [{pid, _}] -> pid
+      [] -> nil
+    end
+  end
+
+  @doc "Returns the running editors of all streams of some stores."
+  @spec list_editors(Catalog.id(), [Path.t()]) :: [pid()]
+  def list_editors(studio, stores) do
+    for store <- stores,
+        pid <-
+          Registry.select(Situ.Studio.Registry, [
+            {{{studio, :annotation, Path.expand(store), :_}, :"$1", :_}, [], [:"$1"]}
+          ]),
+        do: pid
   end
 
   # The journal does not contain the schema, so a new stream is saved immediately.

@@ -9,9 +9,10 @@ defmodule Situ.Studio.Catalog do
   # scan.
   use GenServer
 
-  alias Situ.Dataset.Session
+  alias Situ.Dataset.{Session, SessionLayers}
   alias Situ.Recording.Formats
   alias Situ.{Dataset, Error}
+  alias Situ.Studio.Annotations.Layers
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.{Layouts, Stores, StreamReader, Recordings}
 
@@ -24,9 +25,10 @@ defmodule Situ.Studio.Catalog do
     # recording on another machine with the address `path` (`situ://...`), and `:node` is a
     # recording on a cluster node (`NODE/NAME`): nothing is written next to either. A session of a
     # dataset lists its recordings in `parts`; `dataset` is the id of the dataset that an item
-    # belongs to.
+    # belongs to. `layers` is the home of its annotation layers (`Situ.Studio.Annotations.Layers`),
+    # or nil if it cannot have any.
     @enforce_keys [:id, :title, :kind]
-    defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
+    defstruct [:id, :title, :kind, :path, :dataset, :session, :layers, parts: [], live: false]
 
     @type t :: %__MODULE__{
             id: String.t(),
@@ -34,6 +36,8 @@ defmodule Situ.Studio.Catalog do
             kind: :store | :elsewhere | :node | :pipeline | :source | :dataset | :session,
             path: Path.t() | nil,
             dataset: String.t() | nil,
+            session: String.t() | nil,
+            layers: Situ.Studio.Annotations.Layers.home() | nil,
             parts: [{String.t(), Path.t()}],
             live: boolean()
           }
@@ -213,7 +217,12 @@ defmodule Situ.Studio.Catalog do
          else: (:error -> nil)
   end
 
-  defp store_item(id, path), do: %Item{id: id, title: id, kind: store_kind(path), path: path}
+  defp store_item(id, path) do
+    kind = store_kind(path)
+    layers = if kind == :store, do: Layers.recording_home(path)
+    %Item{id: id, title: id, kind: kind, path: path, layers: layers}
+  end
+
   defp store_kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
 
@@ -243,26 +252,36 @@ defmodule Situ.Studio.Catalog do
     with {:ok, file} <- Stores.fetch_dataset(state.path, dataset),
          {:ok, loaded} <- Dataset.load(file),
          {:ok, session} <- Dataset.session(loaded, session),
-         do: part_item(id, dataset, session, partition),
+         do: part_item(id, loaded, session, partition) |> put_dataset(dataset),
          else: (_ -> nil)
   end
 
-  defp part_item(id, dataset, session, [name]) do
+  defp put_dataset(nil, _dataset), do: nil
+  defp put_dataset(item, dataset), do: %{item | dataset: dataset}
+
+  defp part_item(id, _dataset, session, [name]) do
     with {:ok, partition} <- Session.fetch_partition(session, name) do
-      title = "#{session.name}: #{name}"
-      %{store_item(id, partition.path) | title: title, dataset: dataset}
+      %{store_item(id, partition.path) | title: "#{session.name}: #{name}"}
     else
       _ -> nil
     end
   end
 
-  # A session with only one recording supports everything that the recording supports, such as annotations.
-  defp part_item(id, dataset, %{partitions: [one]} = session, []),
-    do: %{store_item(id, one.path) | title: session.name, dataset: dataset}
-
+  # A session with only one recording supports everything that the recording supports, such as the export of a part.
+  # The store of its annotation layers is not one of its recordings.
   defp part_item(id, dataset, session, []) do
-    parts = for p <- session.partitions, do: {p.name, p.path}
-    %Item{id: id, title: session.name, kind: :session, parts: parts, dataset: dataset}
+    layers = Layers.session_home(dataset, session.name)
+
+    case Enum.reject(session.partitions, &SessionLayers.layers_partition?/1) do
+      [one] ->
+        item = store_item(id, one.path)
+        %{item | title: session.name, session: session.name, layers: layers}
+
+      recordings ->
+        parts = for p <- recordings, do: {p.name, p.path}
+        item = %Item{id: id, title: session.name, kind: :session, parts: parts}
+        %{item | session: session.name, layers: layers}
+    end
   end
 
   defp list_items(state) do
@@ -282,7 +301,7 @@ defmodule Situ.Studio.Catalog do
 
     # A pipeline that was open when it ended stays listed, because the data that was received is still available.
     ended =
-      for {{id, _, _}, %{module: Recordings.Pipeline}} <- state.open,
+      for {{id, _, _, _}, %{module: Recordings.Pipeline}} <- state.open,
           not Enum.any?(running, &(&1.id == id)),
           do: %Item{id: id, title: id, kind: :pipeline, live: false}
 
@@ -305,10 +324,12 @@ defmodule Situ.Studio.Catalog do
   end
 
   # The path is part of the key because a dataset may have been edited to refer to another path.
-  defp cache_key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
+  defp cache_key(%Item{id: id, path: path, parts: parts, layers: layers}),
+    do: {id, path, parts, layers}
 
   defp open_item(state, %Item{kind: :session} = item) do
     with {:ok, source} <- Recordings.Session.open(item.parts) do
+      source = Recordings.Layers.add_layers(source, state.id, item.layers)
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
@@ -322,6 +343,7 @@ defmodule Situ.Studio.Catalog do
 
   defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
     with {:ok, source} <- Recordings.Store.open(item.path) do
+      source = Recordings.Layers.add_layers(source, state.id, item.layers)
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end

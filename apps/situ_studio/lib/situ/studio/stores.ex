@@ -5,6 +5,7 @@ defmodule Situ.Studio.Stores do
 
   alias Situ.Dataset.FileFormat
   alias Situ.Recording.Formats
+  alias Situ.Studio.Annotations.Files
   alias Situ.Studio.NaturalOrder
 
   @most 5_000
@@ -112,7 +113,7 @@ defmodule Situ.Studio.Stores do
 
   # Every save of annotations creates a version; the list contains only the latest, but an address can name any.
   defp keep_newest_versions(paths) do
-    {annotations, others} = Enum.split_with(paths, &(Path.basename(&1) =~ "-annotation-"))
+    {annotations, others} = Enum.split_with(paths, &Files.layer_store?/1)
 
     last =
       annotations

@@ -127,6 +127,7 @@ defmodule Situ.Studio.StreamInfo do
 
   def shape_of_type(Situ.Transform), do: :frames
   def shape_of_type(Situ.GeoPoint), do: :place
+  def shape_of_type(Situ.Annotation), do: :spans
 
   def shape_of_type(type) when is_atom(type) and type not in [nil, :any] do
     cond do

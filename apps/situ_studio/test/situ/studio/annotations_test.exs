@@ -15,6 +15,10 @@ defmodule Situ.Studio.AnnotationsTest do
     {:ok, studio: id, path: Path.join(dir, "talk.0000"), schema: schema}
   end
 
+  defp open_editor(studio, path, stream, schema),
+    do:
+      Annotations.open_editor(studio, Annotations.Files.store_path(path, stream), stream, schema)
+
   defp add(editor, from, to, value) do
     Annotations.apply_edit(editor, %{
       "do" => "add",
@@ -31,8 +35,8 @@ defmodule Situ.Studio.AnnotationsTest do
   end
 
   test "edits follow the rules or say why not", %{studio: studio, path: path, schema: schema} do
-    {:ok, editor} = Annotations.open_editor(studio, path, "Speech", schema)
-    assert {:ok, ^editor} = Annotations.open_editor(studio, path, "Speech", nil)
+    {:ok, editor} = open_editor(studio, path, "Speech", schema)
+    assert {:ok, ^editor} = open_editor(studio, path, "Speech", nil)
     :ok = add(editor, 0, 10, "speaks")
     :ok = add(editor, 20, 10, "laughs")
     assert items(editor) == [{"0", "10", "speaks"}, {"10", "20", "laughs"}]
@@ -52,12 +56,7 @@ defmodule Situ.Studio.AnnotationsTest do
     %{studio: studio, path: path} = context
 
     {:ok, editor} =
-      Annotations.open_editor(
-        studio,
-        path,
-        "Cars",
-        Annotations.build_spatial_schema("Cars", :point)
-      )
+      open_editor(studio, path, "Cars", Annotations.build_spatial_schema("Cars", :point))
 
     at = fn t, x ->
       values = %{"x" => x, "y" => 2}
@@ -90,8 +89,8 @@ defmodule Situ.Studio.AnnotationsTest do
 
   test "saves two streams of a recording independently", context do
     %{studio: studio, path: path, schema: schema} = context
-    {:ok, one} = Annotations.open_editor(studio, path, "Speech", schema)
-    {:ok, two} = Annotations.open_editor(studio, path, "Speech.Ada", schema)
+    {:ok, one} = open_editor(studio, path, "Speech", schema)
+    {:ok, two} = open_editor(studio, path, "Speech.Ada", schema)
     :ok = add(one, 0, 10, "speaks")
     :ok = add(two, 20, 30, "laughs")
     {:ok, _} = Editor.save(one)
@@ -108,7 +107,7 @@ defmodule Situ.Studio.AnnotationsTest do
 
   # The name becomes free a moment after the process has ended.
   defp reopened(studio, path, stream) do
-    case Annotations.open_editor(studio, path, stream, nil) do
+    case open_editor(studio, path, stream, nil) do
       {:ok, pid} -> if Process.alive?(pid), do: {:ok, pid}, else: reopened(studio, path, stream)
       error -> error
     end
@@ -116,7 +115,7 @@ defmodule Situ.Studio.AnnotationsTest do
 
   test "another schema renames the values in use, and cannot remove them", context do
     %{studio: studio, path: path, schema: schema} = context
-    {:ok, editor} = Annotations.open_editor(studio, path, "Speech", schema)
+    {:ok, editor} = open_editor(studio, path, "Speech", schema)
     :ok = add(editor, 0, 10, "speaks")
     draft = Annotations.SchemaForm.from_schema(Editor.current_layer(editor).schema)
     fields = %{"0" => %{"name" => "Voice", "values" => %{"0" => %{"value" => "talks"}}}}
@@ -139,13 +138,13 @@ defmodule Situ.Studio.AnnotationsTest do
     path: path,
     schema: schema
   } do
-    {:ok, editor} = Annotations.open_editor(studio, path, "Speech", schema)
+    {:ok, editor} = open_editor(studio, path, "Speech", schema)
     for i <- 0..19, do: :ok = add(editor, i * 10, i * 10 + 8, "speaks")
     ref = Process.monitor(editor)
     Process.exit(editor, :kill)
     assert_receive {:DOWN, ^ref, _, _, _}
     assert Annotations.Files.list_streams(path) == ["Speech"]
-    {:ok, again} = Annotations.open_editor(studio, path, "Speech", nil)
+    {:ok, again} = open_editor(studio, path, "Speech", nil)
     assert length(items(again)) == 20
     assert %{unsaved: true, recovered: 20} = Annotations.page_state(again, "Speech")
     :ok = Annotations.apply_edit(again, %{"do" => "save"})
@@ -154,7 +153,7 @@ defmodule Situ.Studio.AnnotationsTest do
   end
 
   test "adds segments of a stream as proposals", %{studio: studio, path: path, schema: schema} do
-    {:ok, editor} = Annotations.open_editor(studio, path, "Speech", schema)
+    {:ok, editor} = open_editor(studio, path, "Speech", schema)
     one = &%{from: &1, to: &2, lane: &3, label: &4, confidence: &5}
 
     found = [

@@ -21,26 +21,38 @@ defmodule Situ.Studio.Annotations.Files do
   defp escape_name(stream),
     do: stream |> URI.encode(&URI.char_unreserved?/1) |> String.replace(".", "%2E")
 
-  @doc "Returns the names of the annotation streams of a recording."
-  @spec list_streams(Path.t()) :: [String.t()]
-  def list_streams(recording) do
+  @doc """
+  Returns whether a path is that of a store of annotations, next to a recording or of a session.
+
+      iex> for path <- ~w(a.0000 a.0000-annotation-Speech.0001 p1/annotations.0002 p1/annotations),
+      ...>   do: Situ.Studio.Annotations.Files.layer_store?(path)
+      [false, true, true, true]
+  """
+  @spec layer_store?(Path.t()) :: boolean()
+  def layer_store?(path),
+    do: Path.basename(path) =~ ~r/-annotation-|\Aannotations(\.\d{4,})?\z/
+
+  @doc "Returns the stores of a recording's annotations, without their versions."
+  @spec list_stores(Path.t()) :: [Path.t()]
+  def list_stores(recording) do
     start = Path.basename(path_prefix(recording))
     folder = Path.dirname(recording)
 
     with {:ok, names} <- File.ls(folder) do
-      for(
-        name <- names,
-        String.starts_with?(name, start),
-        path = Path.join(folder, Path.rootname(name)),
-        uniq: true,
-        do: path
-      )
-      |> Enum.flat_map(&annotation_streams/1)
-      |> Enum.sort()
+      for name <- names,
+          String.starts_with?(name, start),
+          path = Path.join(folder, Path.rootname(name)),
+          uniq: true,
+          do: path
     else
       _ -> []
     end
   end
+
+  @doc "Returns the names of the annotation streams of a recording."
+  @spec list_streams(Path.t()) :: [String.t()]
+  def list_streams(recording),
+    do: recording |> list_stores() |> Enum.flat_map(&annotation_streams/1) |> Enum.sort()
 
   defp annotation_streams(path) do
     with true <- Store.exists?(path), {:ok, store} <- Store.open(path) do

@@ -35,6 +35,11 @@ defmodule Situ.Studio.Recordings.Session do
     end
   end
 
+  @doc "Combines open recordings `[{prefix, recording}]`; the names of the streams begin with the prefixes."
+  @spec combine([{prefix :: String.t(), Recording.t()}]) :: Recording.t()
+  def combine([{_, first} | _] = parts),
+    do: %Recording{path: first.path, module: __MODULE__, state: build_session(parts, [])}
+
   defp build_session(parts, broken) do
     broken = for {name, error} <- broken, do: "#{name} cannot be opened: #{error.what}"
     %__MODULE__{parts: parts, broken: broken}

@@ -4,10 +4,12 @@ defmodule Situ.Studio.Visualizers.Spans do
   # own time. It accepts a `Situ.Interval` of times, anything with `start` and `stop` (or `end`)
   # in nanoseconds and optionally a `text`, `label` or `name` (an utterance), a `text` with `from`
   # and `to` (a recognised sentence), a pair of an interval and its text, lists of these, and maps
-  # from names of lanes to these. During an utterance, a recogniser sends several drafts of its
+  # from names of lanes to these, and annotations, whose tracks are lanes. During an utterance, a recogniser sends several drafts of its
   # text (`final?: false`), of which only the newest is drawn.
   @behaviour Situ.Studio.Visualizer
 
+  alias Situ.Annotation
+  alias Situ.Annotation.Psi
   alias Situ.Interval
   alias Situ.Studio.Draw.{Key, WindowMessages, Segments}
   alias Situ.Studio.{ValuePath, Visualizer, StreamReader}
@@ -86,6 +88,14 @@ defmodule Situ.Studio.Visualizers.Spans do
       Enum.all?([:text, :from, :to], &(&1 in keys))
   end
 
+  # A set of annotations of \psi.
+  defp lane_spans(%{"data" => %{}} = set, time) do
+    case Psi.decode_annotations(set) do
+      {:ok, annotations} -> value_spans(annotations, "", time)
+      :error -> by_lane(set, time)
+    end
+  end
+
   defp lane_spans(data, time) do
     with :error <- value_spans(data, "", time), do: by_lane(data, time)
   end
@@ -111,6 +121,10 @@ defmodule Situ.Studio.Visualizers.Spans do
   end
 
   defp collect_all(_, _), do: :error
+
+  # The lane of an annotation is its track; it shows its first value.
+  defp build_span(%Annotation{} = a, _lane, _time),
+    do: {:ok, [{a.from, a.to, annotation_label(a.values), "span", a.track}]}
 
   defp build_span({%Interval{} = interval, text}, lane, time)
        when is_binary(text) or is_atom(text),
@@ -148,6 +162,13 @@ defmodule Situ.Studio.Visualizers.Spans do
   end
 
   defp first_value(map, keys), do: Enum.find_value(keys, &Map.get(map, &1))
+
+  defp annotation_label(values) do
+    case Enum.sort(values) do
+      [{_, value} | _] -> span_label(value)
+      [] -> ""
+    end
+  end
 
   defp span_label(nil), do: ""
   defp span_label(text), do: Segments.value_label(text)

@@ -1,24 +1,25 @@
 defmodule Situ.Studio.Web.AnnotationPanel do
   @moduledoc false
-  # Handles annotation in the main view: the panel that edits an annotation stream, and the events that open a stream
-  # or pass the page's edits to `Situ.Studio.Annotations`.
+  # Handles annotation in the main view: the panel that edits a layer, and the events that pass the page's edits to
+  # `Situ.Studio.Annotations`. `Situ.Studio.Web.LayerDialog` handles the events that open a layer.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
-  alias Situ.Annotation.{Editor, Layer}
+  alias Situ.Annotation.{Editor, Layer, Schema}
   alias Situ.Live.Socket
   alias Situ.Studio.Annotations
-  alias Situ.Studio.Annotations.{AgreementTable, Proposals, SchemaForm, Schemas, Files}
+  alias Situ.Studio.Annotations.{AgreementTable, Layers, Proposals, SchemaForm, Schemas}
+  alias Situ.Studio.Web.LayerWatch
 
-  @doc "Returns whether the item is a recording on disk and the studio may write to it."
+  @doc "Returns whether the item can have annotation layers and the studio may write them."
   @spec available?(map()) :: boolean()
-  def available?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+  def available?(%{read_only: read_only, item: item}), do: item.layers != nil and not read_only
 
   @doc "Opens the annotation stream that the page's address names, if it exists."
   @spec open_from_params(Socket.t(), map()) :: Socket.t()
   def open_from_params(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
-    if available?(socket.assigns) and stream in Files.list_streams(socket.assigns.item.path),
-      do: open_editor(socket, stream, nil),
+    if available?(socket.assigns) and stream in Layers.list_names(socket.assigns.item),
+      do: open_layer(socket, stream, nil),
       else: socket
   end
 
@@ -28,48 +29,17 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   def handle_event(event, params, socket) do
     if available?(socket.assigns),
       do: {:noreply, apply_event(event, params, socket)},
-      else:
-        {:noreply,
-         show_toast(
-           socket,
-           "Cannot annotate this: annotations need a recording on disk and a studio that is not read-only"
-         )}
+      else: {:noreply, refuse(socket)}
   end
 
-  defp apply_event("annotation_dialog", _, socket) do
-    %{item: %{path: path}, layout_dir: layouts} = socket.assigns
-    assign(socket, dialog: {:annotation, Files.list_streams(path), Schemas.list_names(layouts)})
-  end
-
-  defp apply_event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
-    do: socket |> assign(dialog: nil) |> open_editor(stream, nil)
-
-  defp apply_event("annotation_new", %{"name" => name, "values" => values} = params, socket)
-       when is_binary(name) and is_binary(values) do
-    with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
-         {:ok, schema} <-
-           resolve_schema(params, name, String.slice(values, 0, 4_000), socket.assigns) do
-      socket |> assign(dialog: nil) |> open_editor(layer_name(name, params["by"]), schema)
-    else
-      "" -> show_toast(socket, "Enter a name for the annotations")
-      {:error, error} -> show_toast(socket, Exception.message(error))
-    end
-  end
-
-  # A layer with the same schema for another annotator, so that the two layers can be compared.
-  defp apply_event("annotation_own", %{"stream" => stream, "by" => by}, socket)
-       when is_binary(stream) and is_binary(by) do
-    own = layer_name(stream, by)
-
-    with true <-
-           own != stream or
-             {:error, Situ.Error.new(:no_name, "the layer needs the name of its annotator")},
-         {:ok, editor} <-
-           Annotations.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
-      socket |> assign(dialog: nil) |> open_editor(own, Editor.current_layer(editor).schema)
-    else
-      {:error, error} -> show_toast(socket, Exception.message(error))
-    end
+  @doc "Shows why the item cannot be annotated."
+  @spec refuse(Socket.t()) :: Socket.t()
+  def refuse(socket) do
+    show_toast(
+      socket,
+      "Cannot annotate this: annotations need a recording on disk or a session of a dataset file (.json), " <>
+        "and a studio that is not read-only"
+    )
   end
 
   defp apply_event("annotation_schema", _, %{assigns: %{annotation: %{editor: editor}}} = socket),
@@ -143,7 +113,7 @@ defmodule Situ.Studio.Web.AnnotationPanel do
          socket
        )
        when is_binary(text) do
-    %{studio: studio, item: %{path: path}} = socket.assigns
+    %{studio: studio, item: item} = socket.assigns
     {:ok, schema} = Annotations.parse_schema("Markers", "")
     values = %{"Markers" => String.slice(text, 0, 500)}
 
@@ -153,16 +123,16 @@ defmodule Situ.Studio.Web.AnnotationPanel do
         take_annotator(params)
       )
 
-    with {:ok, editor} <- Annotations.open_editor(studio, path, "Markers", schema),
+    with {:ok, editor} <- Layers.open_editor(studio, item, "Markers", schema),
          :ok <- add_to_free_track(editor, add, 1) do
-      open_editor(socket, "Markers", nil)
+      open_layer(socket, "Markers", nil)
     else
       {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
   defp apply_event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
-    others = Files.list_streams(socket.assigns.item.path) -- [mine]
+    others = Layers.list_names(socket.assigns.item) -- [mine]
     push_event(socket, "annotation_streams", %{streams: others})
   end
 
@@ -172,9 +142,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
          %{assigns: %{annotation: %{} = mine}} = socket
        )
        when is_binary(other) do
-    %{studio: studio, item: %{path: path}} = socket.assigns
+    %{studio: studio, item: item} = socket.assigns
 
-    with {:ok, editor} <- Annotations.open_editor(studio, path, other, nil),
+    with {:ok, editor} <- Layers.open_editor(studio, item, other, nil),
          {:ok, rows} <-
            AgreementTable.agreement_rows(
              Editor.current_layer(mine.editor),
@@ -187,7 +157,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
     end
   end
 
-  defp apply_event("annotation_close", _, socket), do: assign(socket, annotation: nil)
+  defp apply_event("annotation_close", _, socket),
+    do: socket |> assign(annotation: nil) |> LayerWatch.refresh()
+
   defp apply_event("annotation_ready", _, socket), do: push_annotations(socket)
 
   # A stream may be long, so a task searches it while the page stays responsive.
@@ -214,11 +186,11 @@ defmodule Situ.Studio.Web.AnnotationPanel do
 
   # Lists the tracks of all layers, so that the user can copy their boundaries.
   defp apply_event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
-    %{studio: studio, item: %{path: path}} = socket.assigns
+    %{studio: studio, item: item} = socket.assigns
 
     tracks =
-      for stream <- Files.list_streams(path),
-          {:ok, editor} <- [Annotations.open_editor(studio, path, stream, nil)],
+      for stream <- Layers.list_names(item),
+          {:ok, editor} <- [Layers.open_editor(studio, item, stream, nil)],
           track <- Layer.track_names(Editor.current_layer(editor)),
           do: [stream, track]
 
@@ -231,9 +203,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
          %{assigns: %{annotation: %{editor: editor}}} = socket
        )
        when is_binary(stream) do
-    %{studio: studio, item: %{path: path}} = socket.assigns
+    %{studio: studio, item: item} = socket.assigns
 
-    with {:ok, other} <- Annotations.open_editor(studio, path, stream, nil),
+    with {:ok, other} <- Layers.open_editor(studio, item, stream, nil),
          :ok <-
            Annotations.apply_edit(editor, Map.put(params, :layer, Editor.current_layer(other))) do
       socket
@@ -264,27 +236,6 @@ defmodule Situ.Studio.Web.AnnotationPanel do
     end
   end
 
-  # Uses the saved schema that the form names, or builds one from the form's fields.
-  defp resolve_schema(%{"schema" => saved}, _name, _values, assigns)
-       when is_binary(saved) and saved != "",
-       do: Schemas.load(assigns.layout_dir, saved)
-
-  defp resolve_schema(params, name, values, _), do: build_schema(params["kind"], name, values)
-
-  defp build_schema("box", name, _), do: {:ok, Annotations.build_spatial_schema(name, :box)}
-  defp build_schema("point", name, _), do: {:ok, Annotations.build_spatial_schema(name, :point)}
-  defp build_schema(_, name, values), do: Annotations.parse_schema(name, values)
-
-  # The layer of a named annotator has that name as a suffix.
-  defp layer_name(stream, by) when is_binary(by) do
-    case by |> String.trim() |> String.slice(0, 40) do
-      "" -> stream
-      by -> "#{stream}.#{by}"
-    end
-  end
-
-  defp layer_name(stream, _), do: stream
-
   defp parse_index(text) do
     case Integer.parse(to_string(text)) do
       {n, ""} when n >= 0 -> n
@@ -300,15 +251,17 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   def report_proposals(socket, {:ok, n}), do: show_toast(socket, "#{n} proposals")
   def report_proposals(socket, {:error, error}), do: show_toast(socket, Exception.message(error))
 
-  @doc "Opens an existing annotation stream."
-  @spec open_layer(Socket.t(), String.t()) :: Socket.t()
-  def open_layer(socket, stream), do: open_editor(socket, stream, nil)
-
-  defp open_editor(socket, stream, schema) do
-    case Annotations.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, schema) do
+  @doc "Opens a layer, or creates it with a schema."
+  @spec open_layer(Socket.t(), String.t(), Schema.t() | nil) :: Socket.t()
+  def open_layer(socket, stream, schema) do
+    case Layers.open_editor(socket.assigns.studio, socket.assigns.item, stream, schema) do
       {:ok, editor} ->
         :ok = Editor.subscribe(editor)
-        socket |> assign(annotation: %{stream: stream, editor: editor}) |> push_annotations()
+
+        socket
+        |> assign(annotation: %{stream: stream, editor: editor})
+        |> push_annotations()
+        |> LayerWatch.announce()
 
       {:error, error} ->
         show_toast(socket, Exception.message(error))

@@ -49,19 +49,25 @@ defmodule Situ.Studio.Web.LayoutMenu do
   before the last refresh.
   """
   @spec update_automatic(Socket.t(), map()) :: Socket.t()
-  def update_automatic(%{assigns: %{layout: layout, saved: layout} = assigns} = socket, shapes) do
+  def update_automatic(%{assigns: %{layout: same, saved: same} = assigns} = socket, shapes) do
     shape_found? = fn {name, shape} ->
       shape == :value and assigns.shapes[name] not in [:value, nil]
     end
 
-    automatic? = layout.name == Layout.Auto.layout_name()
+    if Enum.any?(shapes, shape_found?), do: rebuild_automatic(socket), else: socket
+  end
 
-    if automatic? and Enum.any?(shapes, shape_found?),
+  def update_automatic(socket, _shapes), do: socket
+
+  @doc "Rebuilds the automatic layout, unless another layout is shown or somebody has changed it."
+  @spec rebuild_automatic(Socket.t()) :: Socket.t()
+  def rebuild_automatic(%{assigns: %{layout: layout, saved: layout}} = socket) do
+    if layout.name == Layout.Auto.layout_name(),
       do: choose_layout(socket, %{"layout" => layout.name}),
       else: socket
   end
 
-  def update_automatic(socket, _shapes), do: socket
+  def rebuild_automatic(socket), do: socket
 
   # Applies the time offset that was saved with the layout, if it refers to the recording that is compared now.
   defp apply_saved_offset(
@@ -84,9 +90,17 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   defp put_comparison(layout, _), do: layout
 
-  # A compared stream is shown in its counterpart's panel, so the automatic layout has no panels for it.
+  # A compared stream is shown in its counterpart's panel, and the edited layer in the annotation panel, so the automatic
+  # layout has no panels for them.
   defp automatic_layout(assigns) do
-    infos = Enum.reject(assigns.infos, &Recordings.Comparison.compared_stream?(&1.name))
+    edited = assigns[:annotation] && Recordings.Layers.stream_name(assigns.annotation.stream)
+
+    infos =
+      Enum.reject(
+        assigns.infos,
+        &(&1.name == edited or Recordings.Comparison.compared_stream?(&1.name))
+      )
+
     Layout.Auto.build_layout(infos, Layout.ImageLook.detect_looks(assigns.source, infos))
   end
 

@@ -18,11 +18,12 @@ defmodule Situ.Studio.Web.MainView do
 
   alias Situ.Studio.Web.{
     AlertBox,
-    AnnotationDialog,
     AnnotationPanel,
     PageFrame,
     CompareBar,
     DerivedStreams,
+    LayerDialog,
+    LayerWatch,
     LayoutEdits,
     ExportDialog,
     VideoExportBox,
@@ -94,6 +95,7 @@ defmodule Situ.Studio.Web.MainView do
           |> LayoutMenu.choose_layout(params)
           |> reload_shifted(socket)
           |> SharedCursors.join()
+          |> LayerWatch.join()
 
         {:ok,
          socket
@@ -223,6 +225,9 @@ defmodule Situ.Studio.Web.MainView do
       when is_map_key(socket.assigns, :item),
       do: AnnotationPanel.handle_event(event, params, socket)
 
+  def handle_event("layer_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
+    do: {:noreply, LayerDialog.handle_event(event, params, socket)}
+
   def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: {:noreply, QueryPanel.handle_event(event, params, socket)}
 
@@ -290,13 +295,15 @@ defmodule Situ.Studio.Web.MainView do
   def handle_info({:proposed, result}, socket),
     do: {:noreply, AnnotationPanel.report_proposals(socket, result)}
 
-  def handle_info({:situ_annotation, _, _}, socket),
-    do: {:noreply, AnnotationPanel.push_annotations(socket)}
+  def handle_info({:situ_annotation, editor, what}, socket),
+    do: {:noreply, LayerWatch.show_edit(socket, editor, what)}
+
+  def handle_info(:layers_changed, socket), do: {:noreply, LayerWatch.refresh(socket)}
 
   # The facts about a live source keep changing.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
-    socket = AnnotationPanel.refresh_editor(socket)
+    socket = socket |> AnnotationPanel.refresh_editor() |> LayerWatch.check_saved()
 
     case StreamReader.fetch_extent(socket.assigns.source) do
       {:ok, %{live: true}} -> {:noreply, socket |> refresh_streams() |> load_alerts()}
@@ -345,8 +352,7 @@ defmodule Situ.Studio.Web.MainView do
           annotate={AnnotationPanel.available?(assigns)} />
       <PageFrame.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
           snap={@snap} />
-      <AnnotationDialog.dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
-          schemas={elem(@dialog, 2)} />
+      <LayerDialog.dialog :if={match?({:layers, _}, @dialog)} {elem(@dialog, 1)} />
       <SchemaDialog.dialog :if={match?({:schema, _, _}, @dialog)} draft={elem(@dialog, 1)} error={elem(@dialog, 2)} />
       <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.save_dialog :if={@dialog == :layout} saved={@saved} />

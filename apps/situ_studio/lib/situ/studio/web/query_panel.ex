@@ -7,6 +7,7 @@ defmodule Situ.Studio.Web.QueryPanel do
 
   alias Situ.Live.Socket
   alias Situ.Studio.{Annotations, IntervalSearch, Int64}
+  alias Situ.Studio.Web.AnnotationPanel
 
   # At most this many intervals are listed, but all of them become annotations.
   @listed 200
@@ -57,14 +58,14 @@ defmodule Situ.Studio.Web.QueryPanel do
         _,
         %{assigns: %{query_panel: %{found: %{}} = panel}} = socket
       ) do
-    %{studio: studio, item: item, read_only: read_only} = socket.assigns
+    %{studio: studio, item: item} = socket.assigns
     {:ok, schema} = Annotations.parse_schema("Query", "")
 
-    with true <- (item.kind == :store and not read_only) or {:error, not_annotatable_error()},
-         {:ok, editor} <- Annotations.open_editor(studio, item.path, "Query", schema),
+    with true <- AnnotationPanel.available?(socket.assigns) or {:error, not_annotatable_error()},
+         {:ok, editor} <- Annotations.Layers.open_editor(studio, item, "Query", schema),
          found = Enum.map(panel.found.intervals, &build_proposal(&1, panel.text)),
          {:ok, _} <- Annotations.add_proposals(editor, found, "query") do
-      Situ.Studio.Web.AnnotationPanel.open_layer(socket, "Query")
+      AnnotationPanel.open_layer(socket, "Query", nil)
     else
       {:error, error} -> show_toast(socket, Exception.message(error))
     end
@@ -78,7 +79,8 @@ defmodule Situ.Studio.Web.QueryPanel do
   defp not_annotatable_error do
     Situ.Error.new(
       :not_annotated,
-      "only a recording on disk can be annotated, in a studio that is not read-only"
+      "only a recording on disk or a session of a dataset file (.json) can be annotated, in a studio that is not " <>
+        "read-only"
     )
   end
 

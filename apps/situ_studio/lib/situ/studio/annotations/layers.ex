@@ -1,0 +1,151 @@
+defmodule Situ.Studio.Annotations.Layers do
+  @moduledoc false
+  # Finds, opens and copies the annotation layers of an item of the catalog. The layers of a
+  # session are the streams of one store next to the dataset file (`Situ.Dataset.SessionLayers`).
+  # The layers of any other recording are stores next to it (`Situ.Studio.Annotations.Files`).
+  # Layers in recordings and other partitions can be copied, but not edited.
+  alias Situ.Annotation.{Editor, Layer, Recording, Schema}
+  alias Situ.{Dataset, Error, Store}
+  alias Situ.Dataset.{NameRules, OpenSession, Partition, Session, SessionLayers, StoreVersion}
+  alias Situ.Studio.Annotations.Files
+  alias Situ.Studio.{Annotations, Catalog, Datasets, IntervalSearch}
+
+  @typedoc "The store of a session's layers, or the recording that has its layers next to it."
+  @type home :: {:session, Path.t()} | {:recording, Path.t()}
+
+  @doc "Returns the home of a recording's layers; `nil` for recordings that are layers themselves."
+  @spec recording_home(Path.t()) :: home() | nil
+  def recording_home(path),
+    do: if(Files.layer_store?(path), do: nil, else: {:recording, path})
+
+  @doc "Returns the home of a session's layers; `nil` if its dataset cannot be changed."
+  @spec session_home(Dataset.t(), String.t()) :: home() | nil
+  def session_home(dataset, session) do
+    case SessionLayers.store_path(dataset, session) do
+      {:ok, store} -> {:session, store}
+      {:error, _} -> nil
+    end
+  end
+
+  @doc "Returns the newest versions of the stores of a home: `[{store, folder}]`."
+  @spec list_versions(home()) :: [{Path.t(), Path.t()}]
+  def list_versions({:session, store}), do: newest_versions([store])
+  def list_versions({:recording, path}), do: path |> Files.list_stores() |> newest_versions()
+
+  defp newest_versions(stores) do
+    for store <- stores, folder = StoreVersion.newest_folder(store), do: {store, folder}
+  end
+
+  @doc "Returns the names of the layers of an item that can be edited, sorted."
+  @spec list_names(Catalog.Item.t()) :: [String.t()]
+  def list_names(%{layers: nil}), do: []
+
+  def list_names(item) do
+    names =
+      for {_store, folder} <- list_versions(item.layers), name <- list_streams(folder), do: name
+
+    (names ++ earlier_names(item)) |> Enum.uniq() |> Enum.sort()
+  end
+
+  defp list_streams(folder) do
+    with {:ok, store} <- Store.open(folder) do
+      for info <- Store.streams(store), Recording.annotation_stream?(store, info), do: info.name
+    else
+      _ -> []
+    end
+  end
+
+  # Before sessions had layers, a session with one recording had them next to the recording.
+  defp earlier_names(%{layers: {:session, _}, path: path}) when path != nil,
+    do: Files.list_streams(path)
+
+  defp earlier_names(_), do: []
+
+  @doc """
+  Returns the editor of a layer. `schema` creates a missing layer; the first layer of a session also adds the store to
+  the dataset.
+  """
+  @spec open_editor(Catalog.id(), Catalog.Item.t(), String.t(), Schema.t() | nil) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def open_editor(studio, item, name, schema) do
+    store = store_of(item, name)
+
+    with {:ok, editor} <- Annotations.open_editor(studio, store, name, schema),
+         :ok <- link_store(studio, item, store) do
+      {:ok, editor}
+    end
+  end
+
+  defp store_of(%{layers: {:recording, path}}, name), do: Files.store_path(path, name)
+
+  defp store_of(%{layers: {:session, store}} = item, name) do
+    earlier? = name in earlier_names(item) and name not in stored_names(store)
+    if earlier?, do: Files.store_path(item.path, name), else: store
+  end
+
+  defp stored_names(store),
+    do: Enum.flat_map(newest_versions([store]), fn {_, folder} -> list_streams(folder) end)
+
+  defp link_store(studio, %{layers: {:session, store}} = item, store) do
+    with {:ok, %{path: file}} <- Catalog.fetch_item(studio, item.dataset),
+         {:ok, dataset} <- Dataset.load(file),
+         {:ok, session} <- Dataset.session(dataset, item.session) do
+      if Enum.any?(session.partitions, &SessionLayers.layers_partition?/1),
+        do: :ok,
+        else: add_partition(studio, file, item.session)
+    end
+  end
+
+  defp link_store(_studio, _item, _store), do: :ok
+
+  defp add_partition(studio, file, session) do
+    with {:ok, server} <- Datasets.open_server(studio, file),
+         {:ok, _} <- Datasets.edit(server, file, &SessionLayers.add_partition(&1, session)),
+         do: :ok
+  end
+
+  @doc "Returns the current annotations of a layer of an item in another page or session."
+  @spec read_layer(Catalog.id(), Catalog.Item.t(), String.t()) ::
+          {:ok, Layer.t()} | {:error, Error.t()}
+  def read_layer(studio, item, name) do
+    with {:ok, editor} <- Annotations.open_editor(studio, store_of(item, name), name, nil),
+         do: {:ok, Editor.current_layer(editor)}
+  end
+
+  @doc "Lists the layers that an item's recordings contain as `[{partition, stream}]`. Opens the recordings."
+  @spec list_foreign(Catalog.Item.t()) :: [{String.t(), String.t()}]
+  def list_foreign(item) do
+    for %{partition: partition, stream: stream} <-
+          item |> open_recordings() |> SessionLayers.list_layers(),
+        do: {partition, stream}
+  end
+
+  defp open_recordings(item) do
+    session =
+      for {name, path} <- IntervalSearch.searchable_parts(item), reduce: Session.new("page") do
+        session ->
+          case Session.add_partition(session, Partition.new(name, path)) do
+            {:ok, session} -> session
+            {:error, _} -> session
+          end
+      end
+
+    OpenSession.open(session)
+  end
+
+  @doc "Copies a layer of an item's recordings into a layer that can be edited, and returns the new layer's name."
+  @spec copy_foreign(Catalog.id(), Catalog.Item.t(), {String.t(), String.t()}) ::
+          {:ok, String.t()} | {:error, Error.t()}
+  def copy_foreign(studio, item, {partition, stream}) do
+    name = NameRules.make_unique(stream, list_names(item))
+    store = store_of(item, name)
+    address = "[#{partition}]:#{stream}"
+
+    with {:ok, {_, recording, _}} <-
+           item |> open_recordings() |> OpenSession.fetch_stream(address),
+         {:ok, layer} <- Recording.load_layer(recording, stream),
+         :ok <- SessionLayers.write_layer(store, name, layer),
+         :ok <- link_store(studio, item, store),
+         do: {:ok, name}
+  end
+end
