@@ -9,6 +9,7 @@ Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__
 Code.require_file("plugin_fixture.exs", __DIR__)
 Code.require_file("map_fixture.exs", __DIR__)
 Code.require_file("mask_fixture.exs", __DIR__)
+Code.require_file("session_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Recordings}
 
 [work | _] = System.argv()
@@ -244,6 +245,13 @@ plugins = PluginFixture.folder(work)
     token: "the-very-secret-token"
   )
 
+# A study whose sessions are annotated.
+studied_folder = Path.join(work, "studied")
+SessionFixture.create(studied_folder, folder)
+
+{:ok, studied} =
+  Situ.Studio.start_link(id: "studied", port: 0, path: studied_folder, layouts: layouts)
+
 # A studio that some users may change and others may only view.
 {:ok, shared} =
   Situ.Studio.start_link(
@@ -310,6 +318,8 @@ IO.puts(
     Situ.JSON.encode(%{
       "main" => base.(main),
       "mapped" => base.(mapped),
+      "studied" => base.(studied),
+      "studied_folder" => studied_folder,
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
       "shared" => Situ.Studio.url(shared),

@@ -11,6 +11,7 @@ import "./together_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
+import "./session_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
 import "./plugin_tests.mjs";

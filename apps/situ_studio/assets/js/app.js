@@ -86,6 +86,7 @@ const hooks = {
         app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
         if (to > from) app.time.dispatch({ type: "zoomSel" });
       });
+      this.handleEvent("layers_changed", () => app.client.forgetStreams("Annotations."));
       this.handleEvent("viewer_link", ({ token }) => copyViewerLink(app, token));
       this.handleEvent("compare_go", ({ with: other, offset }) => {
         location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);

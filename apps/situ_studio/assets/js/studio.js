@@ -13,6 +13,7 @@ import { Connection } from "./page/connection.js";
 import { Address } from "./page/address.js";
 import { Frames } from "./page/frames.js";
 import { Gutter } from "./page/gutter.js";
+import { openSession, rememberSession } from "./page/sessions.js";
 import { Menu } from "./page/menu.js";
 import { menuItems } from "./page/menus.js";
 import { commands } from "./page/commands.js";
@@ -57,7 +58,10 @@ export class Studio {
       time: this.time,
       client: this.client,
       facts: () => ({ ...this.options, snap: this.client.snap, compare: this.compare }),
-      moved: options.moved,
+      moved: (href) => {
+        options.moved?.(href);
+        rememberSession(this);
+      },
     });
     this.gutter = new Gutter(() => this.redrawAll());
     this.menu = new Menu(document.body, (target, e) => menuItems(this, target, e));
@@ -225,6 +229,11 @@ export class Studio {
       // opens the properties sidebar if it is hidden
       if (e.target.closest("[phx-click='select_panel'], #tree .name"))
         document.documentElement.dataset.right = "open";
+      const session = e.target.closest("a.store[data-session]");
+      if (session && !e.ctrlKey && !e.metaKey && !e.shiftKey) {
+        e.preventDefault();
+        openSession(this, session.getAttribute("href"));
+      }
       const button = e.target.closest("[data-act]");
       if (!button) return;
       this.runAction(button.dataset.act);

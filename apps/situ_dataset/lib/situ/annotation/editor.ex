@@ -37,7 +37,7 @@ defmodule Situ.Annotation.Editor do
   """
   # See docs/adr/0091-annotations-are-streams-with-versions.md.
   use GenServer
-  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, StoreVersions}
+  alias Situ.Annotation.{EditorState, Journal, Layer, Review, Schema, StoreVersions}
   alias Situ.Error
   alias Situ.Store.FileLock
 
@@ -219,7 +219,7 @@ defmodule Situ.Annotation.Editor do
   end
 
   defp convert_layer(layer, schema, fun) do
-    Layer.new(schema, layer |> Layer.annotations() |> Enum.map(fun))
+    Layer.new(schema, layer |> Layer.annotations() |> Enum.map(fun), layer.review)
   rescue
     exception ->
       {:error,
@@ -243,9 +243,13 @@ defmodule Situ.Annotation.Editor do
         change = if from == :undo, do: Layer.invert_transaction(transaction), else: transaction
 
         with {:ok, state} <- apply_transaction(state, change),
+             state = if(from == :undo, do: forget_added(state, transaction), else: state),
              do: {:ok, state |> Map.put(from, rest) |> Map.update!(to, &[transaction | &1])}
     end
   end
+
+  defp forget_added(state, transaction),
+    do: update_in(state.layer.review, &Review.forget_added(&1, transaction))
 
   defp empty_history_error(:undo), do: Error.new(:nothing_to_undo, "there is nothing to undo")
   defp empty_history_error(:redo), do: Error.new(:nothing_to_redo, "there is nothing to redo")

@@ -22,10 +22,10 @@ defmodule Situ.Annotation.Layer do
   `{:ok, layer, transaction}`. `apply_transaction/2` applies a transaction, and `invert_transaction/1` reverses it.
   """
   alias Situ.{Annotation, Error}
-  alias Situ.Annotation.Schema
+  alias Situ.Annotation.{Review, Schema}
 
   @enforce_keys [:schema]
-  defstruct [:schema, by_id: %{}, tracks: %{}, next: 1]
+  defstruct [:schema, by_id: %{}, tracks: %{}, next: 1, review: %{}]
 
   @type id :: pos_integer()
   @type transaction :: [{id(), Annotation.t() | nil, Annotation.t() | nil}]
@@ -33,21 +33,26 @@ defmodule Situ.Annotation.Layer do
           schema: Schema.t(),
           by_id: %{id() => Annotation.t()},
           tracks: %{String.t() => :gb_trees.tree({Situ.Time.t(), Situ.Time.t()}, id())},
-          next: id()
+          next: id(),
+          review: Review.t()
         }
   @type edited :: {:ok, t(), transaction()} | {:error, Error.t()}
 
-  @doc "Builds a layer; annotations without an id get one. Errors: the errors of edits."
-  @spec new(Schema.t(), [Annotation.t()]) :: {:ok, t()} | {:error, Error.t()}
-  def new(%Schema{} = schema, annotations \\ []) do
+  @doc """
+  Builds a layer; annotations without an id get one. `review` is the outcome of an earlier review. Errors: the errors of
+  edits.
+  """
+  @spec new(Schema.t(), [Annotation.t()], Review.t()) :: {:ok, t()} | {:error, Error.t()}
+  def new(%Schema{} = schema, annotations \\ [], review \\ %{}) do
     # Repeated ids are replaced by new ones.
     {numbered, _} =
       Enum.map_reduce(annotations, MapSet.new(), fn a, seen ->
         if a.id in seen, do: {%{a | id: nil}, seen}, else: {a, MapSet.put(seen, a.id)}
       end)
 
-    next = numbered |> Enum.map(&(&1.id || 0)) |> Enum.max(fn -> 0 end)
-    layer = %__MODULE__{schema: schema, next: next + 1}
+    # The id of a rejected proposal is not used again.
+    ids = Enum.map(numbered, &(&1.id || 0)) ++ Map.keys(review)
+    layer = %__MODULE__{schema: schema, next: Enum.max(ids, fn -> 0 end) + 1}
 
     Enum.reduce_while(numbered, {:ok, layer}, fn annotation, {:ok, layer} ->
       case put_new(layer, annotation) do
@@ -55,6 +60,10 @@ defmodule Situ.Annotation.Layer do
         {:error, error} -> {:halt, {:error, error}}
       end
     end)
+    |> case do
+      {:ok, layer} -> {:ok, %{layer | review: review}}
+      error -> error
+    end
   end
 
   defp put_new(layer, %{id: nil} = annotation), do: add(layer, annotation)
@@ -181,6 +190,23 @@ defmodule Situ.Annotation.Layer do
          do: change(layer, id, values: Map.put(old.values, attribute, value))
   end
 
+  @doc """
+  Returns how far the proposals have been reviewed: `total`, `reviewed`, `accepted`, `rejected` and `corrected` (the
+  accepted proposals that a person has changed).
+
+      iex> alias Situ.Annotation.{Edit, Layer, Schema}
+      iex> {:ok, layer} = Layer.new(Schema.text("Words"))
+      iex> spans = for t <- [0, 10, 20], do: Situ.Annotation.new(t, t + 5, "P1")
+      iex> {:ok, layer, _} = Edit.add_proposals(layer, spans)
+      iex> {:ok, layer, _} = Layer.accept_proposal(layer, 1)
+      iex> {:ok, layer, _} = Layer.remove(layer, 2)
+      iex> Layer.review_progress(layer)
+      %{total: 3, reviewed: 2, accepted: 1, rejected: 1, corrected: 0}
+  """
+  @spec review_progress(t()) :: Review.progress()
+  def review_progress(%__MODULE__{} = layer),
+    do: Review.summarize(layer.review, Enum.count(layer.by_id, fn {_, a} -> a.proposed? end))
+
   @doc "Accepts a proposal as an annotation."
   @spec accept_proposal(t(), id(), String.t() | nil) :: edited()
   def accept_proposal(%__MODULE__{} = layer, id, by \\ nil) do
@@ -204,6 +230,7 @@ defmodule Situ.Annotation.Layer do
       bare =
         Enum.reduce(transaction, layer, fn {id, old, _}, layer -> remove_old(layer, id, old) end)
 
+      bare = %{bare | review: Review.record_transaction(layer.review, transaction)}
       Enum.reduce_while(transaction, {:ok, bare}, &insert_new/2)
     end
   end

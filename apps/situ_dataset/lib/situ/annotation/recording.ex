@@ -10,7 +10,7 @@ defmodule Situ.Annotation.Recording do
   be in progress. The schema is stored as supplemental metadata of the stream, in its JSON form.
   """
   alias Situ.{Annotation, Error, Store}
-  alias Situ.Annotation.{Layer, Psi, Schema}
+  alias Situ.Annotation.{Layer, Psi, Review, Schema}
   alias Situ.Dataset.StoreVersion
 
   @type_wanted {:list, Annotation}
@@ -43,7 +43,14 @@ defmodule Situ.Annotation.Recording do
     with {:ok, info} <- Store.stream_info(store, stream),
          {:ok, annotations} <- read_annotations(store, info),
          {:ok, schema} <- schema_or_guess(store, info, annotations),
-         do: Layer.new(schema, annotations)
+         do: Layer.new(schema, annotations, read_review(store, info))
+  end
+
+  defp read_review(store, info) do
+    case Store.metadata(store, info) do
+      {:ok, %{"review" => review}} -> Review.from_json(review)
+      _ -> %{}
+    end
   end
 
   defp schema_or_guess(store, info, annotations) do
@@ -149,13 +156,20 @@ defmodule Situ.Annotation.Recording do
 
   defp write_streams(writer, [{stream, layer} | rest]) do
     messages = layer |> Layer.annotations() |> Annotation.to_messages()
-    options = [type: @type_wanted, metadata: Schema.to_json(layer.schema)]
+    options = [type: @type_wanted, metadata: layer_metadata(layer)]
 
     with {:ok, stream} <- Store.Writer.stream(writer, stream, options),
          {:ok, stream} <- Store.Writer.append(stream, messages),
          {:ok, _} <- Store.Writer.close_stream(stream, end_time(messages)),
          do: write_streams(writer, rest)
   end
+
+  # The outcome of a review is next to the fields of the schema.
+  defp layer_metadata(%{schema: schema, review: review}) when review == %{},
+    do: Schema.to_json(schema)
+
+  defp layer_metadata(%{schema: schema, review: review}),
+    do: Map.put(Schema.to_json(schema), "review", Review.to_json(review))
 
   defp end_time([]), do: 0
   defp end_time(messages), do: List.last(messages).originating_time

@@ -1,7 +1,8 @@
 // Handles the keys of the annotation panel while it has the focus. Keys of values work everywhere (`keys.js`).
 
 export function handleKey(panel, e) {
-  if (e.target.closest("input, select")) return;
+  // the keys of a review are handled by the page (`review.js`)
+  if (e.target.closest("input, select") || (panel.review.active && !e.ctrlKey && !e.metaKey)) return;
   const undo = (e.ctrlKey || e.metaKey) && e.key.toLowerCase() === "z";
   if (undo) panel.pushEdit(e.shiftKey ? "redo" : "undo");
   else if (e.ctrlKey || e.metaKey || e.altKey || !runCommand(panel, e)) return;

@@ -10,6 +10,7 @@ import { KeyState } from "./keys.js";
 import { dragEdge, edgeReach, describeAnnotation } from "./mouse.js";
 import { drawName, freeNumber, rowLabel, listRows } from "./rows.js";
 import { handleKey } from "./commands.js";
+import { Review } from "./review.js";
 import { Spatial } from "./spatial.js";
 import { Tools } from "./tools.js";
 
@@ -29,6 +30,7 @@ export class AnnotationPanel {
     this.track = FIRST;
     this.attribute = 0;
     this.shownTracks = "all";
+    this.review = new Review(this);
     this.spatial = new Spatial(this);
     this.tools = new Tools(el, this);
     this.observer = new ResizeObserver(() => this.resize());
@@ -68,6 +70,7 @@ export class AnnotationPanel {
       this.visibleRows().map((r) => this.rowName(r)),
     );
     this.tools.update();
+    this.review.update();
     this.fitHeight();
     this.scheduleAll();
   }
@@ -131,6 +134,7 @@ export class AnnotationPanel {
   // --- keys: called for every key of the page while annotating; returns true if the key was handled
 
   handleKeyDown(e) {
+    if (this.review.handleKeyDown(e)) return true;
     if (e.ctrlKey || e.metaKey || e.altKey) return false;
     if (this.keys.has(e.key)) {
       if (!e.repeat) this.addFinished(this.keys.pressKey(e.key, this.app.time.get().cursor, performance.now()));
@@ -142,7 +146,7 @@ export class AnnotationPanel {
   }
 
   handleKeyUp(e) {
-    if (this.keys.has(e.key))
+    if (this.keys.has(e.key) && !this.review.active)
       this.addFinished(this.keys.releaseKey(e.key, this.app.time.get().cursor, performance.now()));
   }
 
@@ -288,6 +292,7 @@ export class AnnotationPanel {
   }
 
   destroy() {
+    this.review.stop();
     this.observer.disconnect();
     this.state = { ...this.state, attributes: [] };
     this.scheduleAll();

@@ -3,6 +3,7 @@
 
 import { askText } from "../page/questions.js";
 import { readAnnotator, setAnnotator } from "./annotator.js";
+import { progressText } from "./review.js";
 
 export class Tools {
   constructor(el, panel) {
@@ -29,6 +30,11 @@ export class Tools {
     this.addButton("Schema…", "Edit attributes, values, keys and colors", () => this.pushEvent("annotation_schema"));
     this.addButton("Agreement…", "Compare this layer with another", () => this.pushEvent("annotation_streams"));
     this.who = this.addButton("", "Annotator name stored with new annotations", () => this.askName());
+    this.review = this.addButton("Review", "Review the proposals one by one (q)", () =>
+      panel.review.active ? panel.review.stop() : panel.review.start(),
+    );
+    this.progress = this.addElement("i");
+    this.progress.setAttribute("role", "status");
     // proposals at or above this confidence are accepted, the others rejected; the panel shows the effect while it
     // moves
     this.threshold = this.addElement("input", "Minimum confidence of accepted proposals");
@@ -120,7 +126,9 @@ export class Tools {
   // Labels the buttons with what they affect: the selected proposal, the proposals by confidence, or all of them.
   updateProposals(state, item) {
     const all = state.items.filter((a) => a.proposed);
-    this.accept.hidden = this.reject.hidden = !all.length;
+    this.accept.hidden = this.reject.hidden = this.review.hidden = !all.length;
+    this.review.textContent = this.panel.review.active ? "End review" : "Review";
+    this.progress.textContent = progressText(state.review);
     this.threshold.hidden = !all.some((a) => a.confidence != null);
     if (this.threshold.hidden) this.threshold.value = 0;
     const sure = all.filter((a) => (a.confidence ?? 1) >= this.minConfidence).length;

@@ -127,6 +127,14 @@ export class DataClient {
     }
   }
 
+  // Requests all streams whose names begin with a prefix again, because their messages have changed.
+  forgetStreams(prefix) {
+    for (const c of this.channels.values()) {
+      if (c.spec?.stream?.startsWith(prefix)) Object.assign(c, { held: null, asking: null, at: null });
+    }
+    this.pump(true);
+  }
+
   // Sends a request if none is in flight and a channel needs data. Called on every change; cheap when idle.
   pump(force = false) {
     if (this.closed) return;

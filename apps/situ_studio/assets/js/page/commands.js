@@ -2,6 +2,7 @@
 
 import { readAnnotator } from "../annotation/annotator.js";
 import { askText } from "./questions.js";
+import { stepSession } from "./sessions.js";
 import { openGoto, openHelp, sessionTitle } from "./dialogs.js";
 import { setTheme } from "./theme.js";
 import { formatIso } from "../time/text.js";
@@ -40,6 +41,14 @@ export const commands = {
       text,
       by: readAnnotator(),
     });
+  },
+
+  nextSession: (app) => stepSession(app, 1),
+  previousSession: (app) => stepSession(app, -1),
+
+  review(app) {
+    if (app.annotation) app.annotation.review.start();
+    else showToast("Open annotations (a) to review their proposals");
   },
 
   compare: (app) => app.options.push?.("compare_dialog", {}),

@@ -5,6 +5,7 @@ import { setTheme } from "./theme.js";
 import { copyText, showToast } from "./toast.js";
 import { confirmAction as asked } from "./questions.js";
 import { rememberPage, showRecent } from "./recent.js";
+import { recallSession, withView } from "./sessions.js";
 import { showTimes } from "./times.js";
 
 const toggleTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
@@ -32,6 +33,7 @@ export const hooks = {
       });
       this.el.addEventListener("click", (e) => {
         if (e.target.closest("[data-act='theme']")) toggleTheme();
+        this.keepView(e);
         const dots = e.target.closest(".dots");
         if (!dots) return;
         const box = dots.getBoundingClientRect();
@@ -51,6 +53,13 @@ export const hooks = {
       if (last) showRecent(last);
       this.handleEvent("go", ({ href }) => location.assign(href));
       showTimes(this.el);
+    },
+    // A session opens with the view of the session that this tab showed last.
+    keepView(e) {
+      const link = e.target.closest(".node.session a.add");
+      if (!link || e.ctrlKey || e.metaKey || e.shiftKey) return;
+      e.preventDefault();
+      location.assign(withView(link.getAttribute("href"), recallSession(this.el.dataset.id)));
     },
     updated() {
       showTimes(this.el);

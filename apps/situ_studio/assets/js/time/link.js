@@ -29,6 +29,27 @@ export function encodeLink(s, origin, { layout, edit, snap, annotate, compare } 
   return q.toString();
 }
 
+// Encodes what another session can keep: its times are relative to the start of the data. A view of all data is left
+// out, so that the other session shows all of its own data.
+/**
+ * @param {any} s
+ * @param {{layout?: string, edit?: string, snap?: string | null, annotate?: string, source?: string}} facts
+ */
+export function encodeSession(s, { layout, edit, snap, annotate, source }) {
+  const q = new URLSearchParams();
+  if (layout) q.set("layout", layout);
+  if (edit) q.set("edit", edit);
+  if (snap) q.set("snap", snap);
+  if (annotate) {
+    q.set("annotate", annotate);
+    q.set("previous", source ?? "");
+  }
+  const whole = s.view[0] === s.data[0] && s.view[1] === s.data[1];
+  const times = whole ? [s.cursor] : [s.cursor, ...s.view];
+  q.set("since", times.map((t) => String(Math.round(t - s.data[0]))).join("~"));
+  return q.toString();
+}
+
 // Decodes an address. Invalid parts are ignored, so that a damaged link still opens the store.
 export function decodeLink(search, origin) {
   const q = new URLSearchParams(search);
@@ -37,6 +58,9 @@ export function decodeLink(search, origin) {
   const out = { live: q.get("live") === "1", snap: q.get("snap") || null, held: q.get("held") === "1" };
   const [a, b] = parsePair("view");
   if (a != null && b != null && a < b) out.view = [a, b];
+  const since = (q.get("since") ?? "").split("~").map((x) => (/^-?\d{1,18}$/.test(x) ? Number(x) : null));
+  if (since[0] != null) out.cursor = since[0];
+  if (since[1] != null && since[2] != null && since[1] < since[2]) out.view = [since[1], since[2]];
   const at = parseNs(q.get("at"));
   if (at != null) out.cursor = at;
   const sel = parsePair("sel");

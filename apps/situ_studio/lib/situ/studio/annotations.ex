@@ -133,6 +133,7 @@ defmodule Situ.Studio.Annotations do
       attributes: Enum.map(layer.schema.attributes, &attribute_to_map/1),
       tracks: Layer.track_names(layer),
       items: layer |> Layer.annotations() |> Enum.take(@most) |> Enum.map(&annotation_to_map/1),
+      review: Layer.review_progress(layer),
       undo: status.undo,
       redo: status.redo,
       unsaved: status.unsaved?,

@@ -89,8 +89,21 @@ defmodule Situ.Studio.Annotations.Request do
         do: Layer.change(layer, id, note: String.slice(note, 0, 2_000))
       )
 
-  def apply_change("accept", layer, %{"id" => id}),
-    do: with({:ok, id} <- parse_id(id), do: Layer.accept_proposal(layer, id))
+  def apply_change("accept", layer, %{"id" => id} = params),
+    do:
+      with(
+        {:ok, id} <- parse_id(id),
+        do: Layer.accept_proposal(layer, id, parse_author(params["by"]))
+      )
+
+  # Corrects the values of a proposal and accepts it, in one step.
+  def apply_change("correct", layer, %{"id" => id, "values" => values} = params) do
+    with {:ok, id} <- parse_id(id), {:ok, old} <- Layer.fetch(layer, id) do
+      by = parse_author(params["by"]) || old.by
+      values = Map.merge(old.values, parse_values(values))
+      Layer.change(layer, id, values: values, proposed?: false, by: by)
+    end
+  end
 
   def apply_change("accept_all", layer, params),
     do: Edit.accept_all(layer, parse_min_confidence(params["least"]))

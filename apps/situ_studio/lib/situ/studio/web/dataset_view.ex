@@ -206,7 +206,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def render(assigns) do
     ~H"""
-    <div id="dataset" class="dataset" phx-hook="Lists">
+    <div id="dataset" class="dataset" phx-hook="Lists" data-id={@id}>
       <Components.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
       <Components.session_tree
           {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.LayerDialog do
   @moduledoc false
   # The dialog that opens, creates, copies or continues an annotation layer.
   use Situ.Live.Component
-  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+  import Situ.Live.Socket, only: [assign: 2, connected?: 1, push_event: 3]
 
   alias Situ.Annotation.Layer
   alias Situ.Live.Socket
@@ -18,21 +18,21 @@ defmodule Situ.Studio.Web.LayerDialog do
       else: AnnotationPanel.refuse(socket)
   end
 
-  # With `continue`, the dialog offers to create the layer that was edited in the previous session.
-  defp apply_event("layer_dialog", params, socket) do
-    %{item: item, layout_dir: layouts} = socket.assigns
-
-    choices = %{
-      names: Layers.list_names(item),
-      foreign: Layers.list_foreign(item),
-      schemas: Schemas.list_names(layouts),
-      session?: item.session != nil,
-      continue:
-        with(%{} = layer <- params["continue"], do: parse_continued(layer, socket.assigns))
-    }
-
-    assign(socket, dialog: {:layers, choices})
+  @doc "Offers to create the layer that was edited in the previous session, which the page's address names."
+  @spec offer_from_params(Socket.t(), map()) :: Socket.t()
+  def offer_from_params(
+        %{assigns: %{annotation: nil}} = socket,
+        %{"annotate" => name, "previous" => id}
+      ) do
+    with true <- connected?(socket) and AnnotationPanel.available?(socket.assigns),
+         %{} = layer <- parse_continued(%{"name" => name, "id" => id}, socket.assigns),
+         do: open_dialog(socket, layer),
+         else: (_ -> socket)
   end
+
+  def offer_from_params(socket, _), do: socket
+
+  defp apply_event("layer_dialog", _, socket), do: open_dialog(socket, nil)
 
   defp apply_event("layer_open", %{"stream" => name}, socket) when is_binary(name),
     do: socket |> assign(dialog: nil) |> AnnotationPanel.open_layer(name, nil)
@@ -87,6 +87,20 @@ defmodule Situ.Studio.Web.LayerDialog do
   end
 
   defp apply_event(_, _, socket), do: socket
+
+  defp open_dialog(socket, continue) do
+    %{item: item, layout_dir: layouts} = socket.assigns
+
+    choices = %{
+      names: Layers.list_names(item),
+      foreign: Layers.list_foreign(item),
+      schemas: Schemas.list_names(layouts),
+      session?: item.session != nil,
+      continue: continue
+    }
+
+    assign(socket, dialog: {:layers, choices})
+  end
 
   defp open_like(socket, name, item, like) do
     case Layers.read_layer(socket.assigns.studio, item, like) do

@@ -100,7 +100,8 @@ defmodule Situ.Studio.Web.MainView do
         {:ok,
          socket
          |> DerivedStreams.ensure_loaded(&load_streams/1)
-         |> AnnotationPanel.open_from_params(params)}
+         |> AnnotationPanel.open_from_params(params)
+         |> LayerDialog.offer_from_params(params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -328,11 +329,11 @@ defmodule Situ.Studio.Web.MainView do
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
         data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
-        data-annotate={@annotation && @annotation.stream}
+        data-annotate={@annotation && @annotation.stream} data-dataset={@item.session && @item.dataset}
         data-keep={@saved.name != Layout.Auto.layout_name() && @keep}>
       <PageFrame.top_bar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.available?(assigns)}
-          annotate={AnnotationPanel.available?(assigns)} pipeline={@pipeline} />
+          annotate={AnnotationPanel.available?(assigns)} pipeline={@pipeline} session={@item.session != nil} />
       <Sidebars.streams_sidebar sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
           parts={Enum.map(@item.parts, &elem(&1, 0))}

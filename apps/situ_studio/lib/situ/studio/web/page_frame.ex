@@ -70,6 +70,7 @@ defmodule Situ.Studio.Web.PageFrame do
   attr(:pipeline, :string, default: nil)
   attr(:export, :boolean, default: false)
   attr(:annotate, :boolean, default: false)
+  attr(:session, :boolean, default: false)
 
   @doc false
   def top_bar(assigns) do
@@ -77,7 +78,9 @@ defmodule Situ.Studio.Web.PageFrame do
     <header class="topbar">
       <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
       <.tool_button act="left" icon={:streams} title="Show or hide the streams (s)" />
+      <.tool_button :if={@session} act="previousSession" icon={:up} title="Previous session (Alt+PageUp)" />
       <h1 class="where" title={@title}>{@title}</h1>
+      <.tool_button :if={@session} act="nextSession" icon={:down} title="Next session (Alt+PageDown)" />
       <span class="sep"></span>
       <div id="toolbar" phx-update="ignore" style="display: contents">
         <.play_button />

@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.Sidebars do
       <nav :if={length(@sources) > 1} class="stores">
         <a :for={s <- @sources} :key={s.id} id={"source-" <> s.id}
             class={["store", s.id == @current && "current"]} href={s.href}
-            title={s.title}><.icon
+            title={s.title} data-session={if s.kind == :session, do: s.id}><.icon
             name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
       </nav>
       <form class="search" phx-change="search" phx-submit="search" id="search-form">
