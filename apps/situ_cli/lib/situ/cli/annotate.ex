@@ -4,8 +4,9 @@ defmodule Situ.CLI.Annotate do
   # annotators.
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
-  alias Situ.CLI.Annotate.Report
+  alias Situ.CLI.Annotate.{Report, Source}
   alias Situ.CLI.{Input, Option, Output, Verb}
+  alias Situ.Dataset.SessionLayers
   alias Situ.{Error, Store}
 
   @formats %{
@@ -25,9 +26,13 @@ defmodule Situ.CLI.Annotate do
       %Verb{
         words: ["annotate", "info"],
         aliases: ["list"],
-        summary: "list the annotation streams of a recording: tracks, counts, attributes",
-        arguments: [path: [kind: :recording, doc: "a recording with annotations"]],
-        examples: ["situ annotate info study/p01/annotation"],
+        summary:
+          "list the annotation streams of a recording or of sessions: tracks, counts, attributes",
+        arguments: [
+          path: [kind: :recording, doc: "a recording with annotations, or a dataset file"]
+        ],
+        options: [Source.session_option()],
+        examples: ["situ annotate info study/p01/annotation", "situ annotate info study.json"],
         run: &show_info/2
       },
       %Verb{
@@ -39,16 +44,18 @@ defmodule Situ.CLI.Annotate do
         lists the data that the format cannot hold.
         """,
         arguments: [
-          path: [kind: :recording, doc: "a recording with annotations"],
+          path: [kind: :recording, doc: "a recording with annotations, or a dataset file"],
           file: [kind: :file, doc: "the file to write; - for standard output, with --format"]
         ],
         options: [
           stream_option(),
+          Source.session_option(),
           Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :origin,
             :time,
-            "the time that becomes 0 in the file (default: the start of --media-of, else the first annotation)"
+            "the time that becomes 0 in the file (default: the start of --media-of or of the session, else the first " <>
+              "annotation)"
           ),
           Option.new(
             :media_of,
@@ -65,7 +72,8 @@ defmodule Situ.CLI.Annotate do
           )
         ],
         examples: [
-          "situ annotate export study/p01/annotation p01.eaf --media-of study/p01/room --media p01.mp4"
+          "situ annotate export study/p01/annotation p01.eaf --media-of study/p01/room --media p01.mp4",
+          "situ annotate export study.json p01.eaf --session p01 --stream Speech.Ada"
         ],
         run: &export_layer/2
       },
@@ -74,13 +82,15 @@ defmodule Situ.CLI.Annotate do
         summary:
           "create an annotation store from a file of ELAN, Praat, players, Label Studio or spreadsheets",
         about:
-          "If a store of that name exists, a new version is created, with copies of its other streams.",
+          "If a store of that name exists, a new version is created, with copies of its other streams. If OUT is a " <>
+            "dataset file, the annotations become a layer of a session.",
         arguments: [
           file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
-          out: [kind: :new, doc: "ROOT/NAME of the annotation store"]
+          out: [kind: :new, doc: "ROOT/NAME of the annotation store, or a dataset file"]
         ],
         options: [
           stream_option(),
+          Source.session_option(),
           Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :schema,
@@ -100,7 +110,8 @@ defmodule Situ.CLI.Annotate do
           )
         ],
         examples: [
-          "situ annotate import p01.TextGrid study/p01/annotation --media-of study/p01/room"
+          "situ annotate import p01.TextGrid study/p01/annotation --media-of study/p01/room",
+          "situ annotate import p01.eaf study.json --session p01 --stream Speech.Ben"
         ],
         run: &import_file/2
       },
@@ -108,11 +119,21 @@ defmodule Situ.CLI.Annotate do
         words: ["annotate", "agreement"],
         summary: "compare two annotators: Cohen's kappa per frame, boundary errors",
         arguments: [
-          first: [kind: :recording, doc: "annotations: a recording, or a file to import"],
+          first: [
+            kind: :recording,
+            doc: "annotations: a recording, a dataset file, or a file to import"
+          ],
           second: [kind: :recording, doc: "annotations of the other annotator"]
         ],
         options: [
           stream_option(),
+          Option.new(
+            :second_stream,
+            :string,
+            "the stream of SECOND (default: the same as --stream)",
+            value: "NAME"
+          ),
+          Source.session_option(),
           Option.new(:attribute, :string, "the attribute to compare (default: the first)",
             value: "NAME"
           ),
@@ -122,7 +143,10 @@ defmodule Situ.CLI.Annotate do
           Option.new(:to, :time, "end of the compared span"),
           Option.new(:least, :float, "exit with status 1 if kappa is below this value")
         ],
-        examples: ["situ annotate agreement anna/annotation ben.eaf --frame 40ms --least 0.8"],
+        examples: [
+          "situ annotate agreement anna/annotation ben.eaf --frame 40ms --least 0.8",
+          "situ annotate agreement study.json study.json --session p01 -s Speech.Ada --second-stream Speech.Ben"
+        ],
         run: &compare_annotators/2
       }
     ]
@@ -136,18 +160,24 @@ defmodule Situ.CLI.Annotate do
       )
 
   defp show_info(%{path: path}, opts) do
-    store = Situ.CLI.Recording.open!(path)
-    layers = for {info, layer} <- load_layers(store), do: Report.describe_layer(info.name, layer)
+    layers =
+      for {session, source} <- Source.open_all!(path, opts[:session]),
+          name <- Source.list_streams(source),
+          do:
+            name
+            |> Report.describe_layer(Source.load_layer!(source, name))
+            |> put_session(session)
 
     if opts[:json],
       do: Output.print_json(layers),
       else: for(layer <- layers, do: Report.print_layer(layer))
 
-    if layers == [] and not opts[:json],
-      do: Output.puts("#{store.path} has no annotation streams.")
-
+    if layers == [] and not opts[:json], do: Output.puts("#{path} has no annotation streams.")
     0
   end
+
+  defp put_session(layer, nil), do: layer
+  defp put_session(layer, session), do: Map.put(layer, :session, session)
 
   defp load_layers(store) do
     for info <- Store.streams(store), Recording.annotation_stream?(store, info) do
@@ -155,35 +185,11 @@ defmodule Situ.CLI.Annotate do
     end
   end
 
-  # Returns the named stream, or the recording's only annotation stream.
-  defp resolve_stream(store, nil) do
-    case for info <- Store.streams(store),
-             Recording.annotation_stream?(store, info),
-             do: info.name do
-      [one] ->
-        one
-
-      [] ->
-        raise Error.new(:no_stream, "#{store.path} has no annotation stream",
-                fix: "run `situ store info` to list its streams"
-              )
-
-      several ->
-        raise Error.new(
-                :ambiguous_stream,
-                "#{store.path} has #{length(several)} annotation streams",
-                fix: "choose one with --stream: #{Enum.join(several, ", ")}"
-              )
-    end
-  end
-
-  defp resolve_stream(_store, name), do: name
-
   defp export_layer(%{path: path, file: file}, opts) do
-    store = Situ.CLI.Recording.open!(path)
-    layer = Error.unwrap!(Recording.load_layer(store, resolve_stream(store, opts[:stream])))
+    source = Source.open!(path, opts[:session])
+    layer = Source.load_layer!(source, opts[:stream])
     media = if(opts[:media], do: [media: opts[:media]], else: [])
-    options = origin_option(opts) ++ media ++ image_times(opts[:pictures], opts)
+    options = origin_option(opts, source) ++ media ++ image_times(opts[:pictures], opts)
 
     losses =
       if file == "-" do
@@ -224,10 +230,11 @@ defmodule Situ.CLI.Annotate do
 
   defp file_format(opts), do: opts[:format] && Map.fetch!(@formats, opts[:format])
 
-  defp origin_option(opts) do
+  defp origin_option(opts, source) do
     cond do
       opts[:origin] -> [origin: opts[:origin]]
       opts[:media_of] -> [origin: first_time(opts[:media_of])]
+      start = source && Source.start_time(source) -> [origin: start]
       true -> []
     end
   end
@@ -252,7 +259,8 @@ defmodule Situ.CLI.Annotate do
   defp import_file(%{file: file, out: out}, opts) do
     schema = if opts[:schema], do: [schema: Error.unwrap!(Schema.load(opts[:schema]))], else: []
     stream = opts[:stream] || "Annotation"
-    options = schema ++ origin_option(opts) ++ [name: stream]
+    target = if Source.dataset?(out), do: Source.open!(out, opts[:session])
+    options = schema ++ origin_option(opts, target) ++ [name: stream]
 
     {layer, losses} =
       if file == "-" do
@@ -266,12 +274,7 @@ defmodule Situ.CLI.Annotate do
         )
       end
 
-    others =
-      if Store.exists?(out),
-        do: Map.new(load_layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
-        else: %{}
-
-    path = Error.unwrap!(Recording.write_all(Map.put(others, stream, layer), out))
+    path = store_layer(target, layer, stream, out)
     unless opts[:json], do: Output.puts(path)
 
     report_losses(
@@ -282,11 +285,28 @@ defmodule Situ.CLI.Annotate do
     )
   end
 
+  defp store_layer({:session, open}, layer, stream, out) do
+    dataset = Source.open_dataset!(out)
+    name = open.session.name
+    dataset = Error.unwrap!(SessionLayers.create_layer(dataset, name, stream, layer))
+    Error.unwrap!(SessionLayers.store_path(dataset, name))
+  end
+
+  defp store_layer(nil, layer, stream, out) do
+    others =
+      if Store.exists?(out),
+        do: Map.new(load_layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
+        else: %{}
+
+    Error.unwrap!(Recording.write_all(Map.put(others, stream, layer), out))
+  end
+
   defp unwrap_layer({:ok, layer, losses}), do: {layer, losses}
   defp unwrap_layer({:error, error}), do: raise(error)
 
   defp compare_annotators(%{first: first, second: second}, opts) do
-    [a, b] = for path <- [first, second], do: load_layer(path, opts[:stream])
+    a = load_layer(first, opts[:stream], opts)
+    b = load_layer(second, opts[:second_stream] || opts[:stream], opts)
     options = Keyword.take(opts, [:attribute, :frame, :from, :to])
     options = if opts[:track] == [], do: options, else: [{:tracks, opts[:track]} | options]
     report = Error.unwrap!(Agreement.compare_layers(a, b, options))
@@ -298,14 +318,15 @@ defmodule Situ.CLI.Annotate do
     if opts[:least] && (report.kappa || 1.0) < opts[:least], do: 1, else: 0
   end
 
-  # Accepts a recording or a file of another program.
-  defp load_layer(path, stream) do
-    with true <- File.regular?(path), {:ok, _} <- Exchange.detect_format(path) do
+  # Accepts a recording, a session, or a file of another program.
+  defp load_layer(path, stream, opts) do
+    with true <- File.regular?(path) and not Source.dataset?(path),
+         {:ok, _} <- Exchange.detect_format(path) do
       path |> Exchange.read(name: stream || "Annotation") |> unwrap_layer() |> elem(0)
     else
       _ ->
-        store = Situ.CLI.Recording.open!(path)
-        Error.unwrap!(Recording.load_layer(store, resolve_stream(store, stream)))
+        session = if Source.dataset?(path), do: opts[:session]
+        path |> Source.open!(session) |> Source.load_layer!(stream)
     end
   end
 end

@@ -1,8 +1,9 @@
 defmodule Situ.CLI.AnnotateTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureIO
-  alias Situ.{Annotation, Message, Store}
+  alias Situ.{Annotation, Dataset, Message, Store}
   alias Situ.Annotation.{Layer, Recording, Schema}
+  alias Situ.Dataset.{OpenSession, SessionLayers}
 
   @moduletag :tmp_dir
 
@@ -61,5 +62,76 @@ defmodule Situ.CLI.AnnotateTest do
       end)
 
     assert said =~ "--media-of"
+  end
+
+  describe "with a session of a dataset" do
+    setup %{tmp_dir: root} do
+      file = Path.join(root, "study.json")
+      {:ok, dataset} = Dataset.new("Study", file: file, autosave: true)
+
+      for name <- ["p01", "p02"], reduce: dataset do
+        dataset ->
+          {:ok, dataset} = Dataset.add_session(dataset, name)
+
+          {:ok, dataset} =
+            Dataset.add_partition(dataset, name, "Room", film(Path.join(root, name)))
+
+          dataset
+      end
+
+      {:ok, dataset} = Dataset.load(file)
+
+      for {annotator, to} <- [{"Ada", 300}, {"Ben", 200}] do
+        one = Annotation.new(150, to, "P1", %{"Speech" => "speaks"})
+        {:ok, layer} = Layer.new(Schema.finite("Speech", ["speaks"]), [one])
+        name = "Speech." <> annotator
+        {:ok, _} = SessionLayers.create_layer(dataset, "p01", name, layer)
+      end
+
+      {:ok, study: file}
+    end
+
+    defp run(argv), do: with_io(fn -> Situ.CLI.run(["annotate" | argv]) end)
+
+    test "lists its layers", %{study: study} do
+      assert {0, said} = run(["info", study])
+      assert said =~ "p01  Speech.Ada: 1 annotation" and said =~ "Speech.Ben"
+      assert {0, said} = run(["info", study, "--session", "p02"])
+      assert said =~ "no annotation streams"
+    end
+
+    test "exports and imports a layer; time 0 is the start of the session", %{study: study} do
+      file = Path.rootname(study) <> ".csv"
+      argv = ["export", study, file, "--session", "p01", "--stream", "Speech.Ada"]
+      assert {0, ""} = run(argv)
+      assert File.read!(file) =~ "P1"
+      argv = ["import", file, study, "--session", "p02", "--stream", "Speech.Eve"]
+      assert {0, said} = run(argv)
+      assert said =~ "annotations"
+      {:ok, dataset} = Dataset.load(study)
+      {:ok, session} = Dataset.session(dataset, "p02")
+      {:ok, messages} = OpenSession.messages(OpenSession.open(session), "Speech.Eve")
+      assert [[%{from: 150, to: 300, track: "P1"}]] = Enum.map(messages, & &1.data)
+      # An existing layer is not replaced.
+      assert {1, _} = with_stderr(argv)
+    end
+
+    test "compares two layers, and asks which session is meant", %{study: study} do
+      argv = ["agreement", study, study, "-s", "Speech.Ada", "--second-stream", "Speech.Ben"]
+      assert {0, said} = run(argv ++ ["--session", "p01", "--frame", "10ns"])
+      assert said =~ "kappa"
+      assert {1, said} = with_stderr(argv)
+      assert said =~ "--session: p01, p02"
+    end
+
+    defp with_stderr(argv) do
+      parent = self()
+
+      said =
+        capture_io(:stderr, fn -> send(parent, {:status, Situ.CLI.run(["annotate" | argv])}) end)
+
+      assert_received {:status, status}
+      {status, said}
+    end
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Dataset.Discovery do
   @moduledoc false
   # Reads a folder of recordings as a dataset: each subfolder is a session, and each recording in a subfolder (at any
   # depth) is a partition. Each recording directly in the folder is a separate session.
-  alias Situ.Dataset.{NameRules, Partition, Session}
+  alias Situ.Dataset.{NameRules, Partition, Session, SessionLayers}
   alias Situ.{Error, Store}
 
   @type result :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
@@ -38,7 +38,7 @@ defmodule Situ.Dataset.Discovery do
 
     session =
       Enum.reduce(recordings, Session.new(name), fn path, session ->
-        partition = Partition.new(nil, path)
+        partition = build_partition(path)
 
         name =
           NameRules.make_unique(
@@ -53,6 +53,13 @@ defmodule Situ.Dataset.Discovery do
     {session, [name | names]}
   end
 
+  # The layers of a session are always the newest version of their store.
+  defp build_partition(path) do
+    if SessionLayers.layers_path?(path),
+      do: SessionLayers.build_partition(path),
+      else: Partition.new(nil, path)
+  end
+
   # Folder names may contain characters that are not allowed in names.
   defp sanitize_name(name) do
     name
@@ -65,10 +72,12 @@ defmodule Situ.Dataset.Discovery do
   end
 
   defp list_recordings(folder) do
-    Enum.flat_map(list_entries(folder), fn
-      {:recording, path} -> [path]
+    list_entries(folder)
+    |> Enum.flat_map(fn
+      {:recording, path} -> [SessionLayers.drop_version(path)]
       {:folder, path} -> list_recordings(path)
     end)
+    |> Enum.uniq()
   end
 
   # Stores, files that a reader can open, and subfolders, by name. Links to folders are not followed, because they may

@@ -69,7 +69,22 @@ defmodule Situ.Dataset.SessionLayers do
 
   @doc "Returns whether the partition is the store of a session's editable layers."
   @spec layers_partition?(Partition.t()) :: boolean()
-  def layers_partition?(%Partition{path: path}), do: Path.basename(path) == @store
+  def layers_partition?(%Partition{path: path}), do: layers_path?(path)
+
+  @doc false
+  @spec layers_path?(Path.t()) :: boolean()
+  def layers_path?(path), do: Path.basename(path) == @store
+
+  @doc false
+  @spec drop_version(Path.t()) :: Path.t()
+  def drop_version(path) do
+    bare = Path.rootname(path)
+    if layers_path?(bare) and path =~ ~r/\.\d{4,}\z/, do: bare, else: path
+  end
+
+  @doc false
+  @spec build_partition(Path.t()) :: Partition.t()
+  def build_partition(path), do: %Partition{name: @partition, store: @store, path: path}
 
   @doc "Lists the annotation streams of all partitions. They are recognised by their type or their schema."
   @spec list_layers(OpenSession.t()) :: [layer_info()]
@@ -133,14 +148,14 @@ defmodule Situ.Dataset.SessionLayers do
       Dataset.update_session(dataset, name, fn session ->
         if Enum.any?(session.partitions, &layers_partition?/1),
           do: {:ok, session},
-          else: Session.add_partition(session, build_partition(session, path))
+          else: Session.add_partition(session, named_partition(session, path))
       end)
     end
   end
 
-  defp build_partition(session, path) do
+  defp named_partition(session, path) do
     name = NameRules.make_unique(@partition, Enum.map(session.partitions, & &1.name))
-    %Partition{name: name, store: @store, path: path}
+    %{build_partition(path) | name: name}
   end
 
   @doc """

@@ -2,7 +2,7 @@ defmodule Situ.Annotation.EditorTest do
   use ExUnit.Case, async: true
   import Situ.Annotation.Test.Annotating
   alias Situ.{Annotation, Store}
-  alias Situ.Annotation.{Editor, Layer, Recording}
+  alias Situ.Annotation.{Edit, Editor, Layer, Recording}
 
   doctest Situ.Annotation.Editor
 
@@ -51,6 +51,62 @@ defmodule Situ.Annotation.EditorTest do
     assert {:ok, again} = Recording.load_layer(store, "Speech")
     assert Layer.annotations(again) == Layer.annotations(layer)
     assert again.schema == layer.schema
+  end
+
+  test "saves when the last subscriber ends, if asked to", %{path: path} do
+    {:ok, editor} =
+      Editor.start_link(path: path, stream: "Speech", schema: schema(), save_unwatched: true)
+
+    {:ok, watcher} = Agent.start_link(fn -> Editor.subscribe(editor) end)
+    {:ok, other} = Agent.start_link(fn -> Editor.subscribe(editor) end)
+    {:ok, _} = add(editor, 0, 10)
+    Agent.stop(watcher)
+    assert Editor.status(editor).unsaved?
+    Agent.stop(other)
+    # The editor learns of the end of a subscriber by a message of its own.
+    assert Stream.repeatedly(fn -> Editor.status(editor).unsaved? end) |> Enum.find(&(not &1)) ==
+             false
+
+    assert stored(path, "Speech") == [{0, 10}]
+  end
+
+  test "stores the outcome of a review", %{path: path} do
+    editor = start(path)
+
+    {:ok, _} =
+      Editor.edit(
+        editor,
+        &Edit.add_proposals(&1, for(t <- 0..3, do: Annotation.new(10 * t, 10 * t + 5, "A")))
+      )
+
+    {:ok, _} = Editor.edit(editor, &Layer.accept_proposal(&1, 1))
+    {:ok, _} = Editor.edit(editor, &Edit.move_edge(&1, 2, :to, 17))
+    {:ok, _} = Editor.edit(editor, &Layer.accept_proposal(&1, 2))
+    {:ok, _} = Editor.edit(editor, &Layer.remove(&1, 4))
+    counts = %{total: 4, reviewed: 3, accepted: 2, corrected: 1, rejected: 1}
+    assert Layer.review_progress(Editor.current_layer(editor)) == counts
+    {:ok, layer} = Editor.undo(editor)
+    assert %{reviewed: 2, rejected: 0} = Layer.review_progress(layer)
+    {:ok, _} = Editor.redo(editor)
+    # A killed editor loses no outcome.
+    :ok = Editor.stop(editor)
+    editor = start(path)
+    assert Layer.review_progress(Editor.current_layer(editor)) == counts
+    {:ok, folder} = Editor.save(editor)
+    {:ok, again} = Recording.load_layer(Store.open!(folder), "Speech")
+    assert Layer.review_progress(again) == counts
+    # The id of the rejected proposal is not used again.
+    {:ok, again, _} = Layer.add(again, Annotation.new(50, 60, "A"))
+    assert Layer.fetch!(again, 5).from == 50
+  end
+
+  test "proposals that are undone were not rejected", %{path: path} do
+    editor = start(path)
+    {:ok, _} = Editor.edit(editor, &Edit.add_proposals(&1, [Annotation.new(0, 5, "A")]))
+    {:ok, layer} = Editor.undo(editor)
+    assert %{total: 0} = Layer.review_progress(layer)
+    {:ok, layer} = Editor.redo(editor)
+    assert %{total: 1, reviewed: 0} = Layer.review_progress(layer)
   end
 
   test "rejects a stream of another type", %{tmp_dir: root} do

@@ -122,6 +122,18 @@ defmodule Situ.Dataset.SessionLayersTest do
     assert {:error, %{code: :changed}} = Checksum.verify(path, checksum)
   end
 
+  test "a folder with layers is read as a dataset with the newest layers",
+       %{dataset: dataset, tmp_dir: root} do
+    for name <- ["Speech", "Faces"],
+        do: {:ok, _} = SessionLayers.create_layer(dataset, "p01", name, empty())
+
+    {:ok, folder} = Dataset.open(root)
+    {:ok, session} = Dataset.session(folder, "p01")
+    path = Path.join(root, "p01/annotations")
+    assert [%Partition{name: "Annotations", path: ^path}] = session.partitions
+    assert Enum.map(list(folder, "p01"), & &1.stream) == ["Faces", "Speech"]
+  end
+
   # Each program adds ten layers with one annotation each to the same session.
   @writer """
   [file, who] = System.argv()

@@ -37,6 +37,9 @@ export function progressText(review) {
   return `${review.reviewed} of ${review.total} reviewed, ${review.accepted} accepted${corrected}`;
 }
 
+export const REVIEW_KEYS =
+  "Enter accepts, Delete rejects, a value's key corrects, [ and ] move an edge, n and N go on and back, Escape ends";
+
 // Returns the view that shows a proposal: the present one if the proposal is well visible in it.
 export function viewAround({ from, to }, view) {
   const width = view[1] - view[0];
@@ -68,7 +71,6 @@ export class Review {
     this.settled.clear();
     this.repeated = this.time.get().repeat;
     this.show(all.find((a) => a.to >= cursor) ?? all[0]);
-    showToast("Enter accepts, Delete rejects, the key of a value corrects, n and N move on, Escape ends the review");
   }
 
   stop() {

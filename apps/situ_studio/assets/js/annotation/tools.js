@@ -3,7 +3,7 @@
 
 import { askText } from "../page/questions.js";
 import { readAnnotator, setAnnotator } from "./annotator.js";
-import { progressText } from "./review.js";
+import { REVIEW_KEYS, progressText } from "./review.js";
 
 export class Tools {
   constructor(el, panel) {
@@ -35,6 +35,7 @@ export class Tools {
     );
     this.progress = this.addElement("i");
     this.progress.setAttribute("role", "status");
+    this.hint = this.addElement("small");
     // proposals at or above this confidence are accepted, the others rejected; the panel shows the effect while it
     // moves
     this.threshold = this.addElement("input", "Minimum confidence of accepted proposals");
@@ -129,6 +130,7 @@ export class Tools {
     this.accept.hidden = this.reject.hidden = this.review.hidden = !all.length;
     this.review.textContent = this.panel.review.active ? "End review" : "Review";
     this.progress.textContent = progressText(state.review);
+    this.hint.textContent = this.panel.review.active ? REVIEW_KEYS : "";
     this.threshold.hidden = !all.some((a) => a.confidence != null);
     if (this.threshold.hidden) this.threshold.value = 0;
     const sure = all.filter((a) => (a.confidence ?? 1) >= this.minConfidence).length;

@@ -33,8 +33,10 @@ defmodule Situ.CLI.Annotate.Report do
         do: ", #{Output.format_count(layer.proposals, "proposal")} among them",
         else: ""
 
+    session = if layer[:session], do: Output.format_name(layer.session) <> "  ", else: ""
+
     Output.puts(
-      "#{Output.format_name(layer.stream)}: " <>
+      "#{session}#{Output.format_name(layer.stream)}: " <>
         "#{Output.format_count(layer.annotations, "annotation")}#{proposals}; #{attributes}"
     )
 

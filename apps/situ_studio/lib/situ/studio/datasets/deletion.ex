@@ -76,11 +76,21 @@ defmodule Situ.Studio.Datasets.Deletion do
 
   defp delete_path(path) do
     cond do
-      not File.exists?(path) -> :ok
+      not File.exists?(path) -> delete_versions(path)
       Store.exists?(path) -> Store.delete(path)
       File.regular?(path) -> removal_result(File.rm(path), path)
       true -> {:error, not_a_recording_error(path)}
     end
+  end
+
+  # A path without a version means all versions, such as those of a session's annotations.
+  defp delete_versions(path) do
+    versions =
+      for folder <- Store.list(Path.dirname(path)),
+          folder =~ ~r/\.\d{4,}\z/ and Path.rootname(folder) == path,
+          do: folder
+
+    each_until_error(versions, &Store.delete/1)
   end
 
   defp removal_result(:ok, _), do: :ok

@@ -104,9 +104,15 @@ defmodule Situ.Studio.Datasets.Summary do
   @doc "Returns a stamp of the recording's files that changes when the recording is replaced or grows."
   @spec file_stamp(Path.t()) :: term()
   def file_stamp(path) do
-    index = Path.join(path, "index.situ")
+    # A path without a version means the newest version.
+    folder =
+      if File.exists?(path),
+        do: path,
+        else: Store.newest(Path.basename(path), Path.dirname(path)) || path
 
-    case File.stat(if(Store.exists?(path) and File.exists?(index), do: index, else: path)) do
+    index = Path.join(folder, "index.situ")
+
+    case File.stat(if(Store.exists?(folder) and File.exists?(index), do: index, else: folder)) do
       {:ok, stat} -> {stat.size, stat.mtime, stat.inode}
       {:error, reason} -> reason
     end
