@@ -179,7 +179,9 @@ test("10 sessions: proposals of another partition are copied and reviewed with k
   await progress("2 of 40 reviewed, 1 accepted");
   await page.keyboard.press("Escape");
   await until(page, () => window.situStudio.time.get().mode !== "play", "the review ends");
-  const values = await page.evaluate(() => window.situStudio.annotation.state.items.filter((a) => !a.proposed).length);
+  const values = await page.evaluate(
+    () => window.situStudio.annotation.state.items.filter((a) => !a.proposed).length,
+  );
   equal(values, 1, "one annotation");
   await page.click(".annotation-tools button:has-text('Save')");
   await until(page, () => document.getElementById("toast").textContent === "Annotations saved", "saved");

@@ -54,8 +54,8 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "the time that becomes 0 in the file (default: the start of --media-of or of the session, else the first " <>
-              "annotation)"
+            "the time that becomes 0 in the file (default: the start of --media-of or of the session, " <>
+              "else the first annotation)"
           ),
           Option.new(
             :media_of,

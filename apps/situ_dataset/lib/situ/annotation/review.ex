@@ -82,7 +82,7 @@ defmodule Situ.Annotation.Review do
     |> Enum.group_by(fn {_, outcome} -> Atom.to_string(outcome) end, fn {id, _} -> id end)
   end
 
-  @doc "Reads a JSON object that `to_json/1` returned; other data are no outcomes."
+  @doc "Reads a JSON object that `to_json/1` returned; ignores other data."
   @spec from_json(term()) :: t()
   def from_json(%{} = json) do
     for outcome <- @outcomes,

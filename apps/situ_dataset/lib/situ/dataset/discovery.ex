@@ -2,7 +2,7 @@ defmodule Situ.Dataset.Discovery do
   @moduledoc false
   # Reads a folder of recordings as a dataset: each subfolder is a session, and each recording in a subfolder (at any
   # depth) is a partition. Each recording directly in the folder is a separate session.
-  alias Situ.Dataset.{NameRules, Partition, Session, SessionLayers}
+  alias Situ.Dataset.{LayersPartition, NameRules, Partition, Session}
   alias Situ.{Error, Store}
 
   @type result :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
@@ -55,8 +55,8 @@ defmodule Situ.Dataset.Discovery do
 
   # The layers of a session are always the newest version of their store.
   defp build_partition(path) do
-    if SessionLayers.layers_path?(path),
-      do: SessionLayers.build_partition(path),
+    if LayersPartition.layers_path?(path),
+      do: LayersPartition.build_partition(path),
       else: Partition.new(nil, path)
   end
 
@@ -74,7 +74,7 @@ defmodule Situ.Dataset.Discovery do
   defp list_recordings(folder) do
     list_entries(folder)
     |> Enum.flat_map(fn
-      {:recording, path} -> [SessionLayers.drop_version(path)]
+      {:recording, path} -> [LayersPartition.drop_version(path)]
       {:folder, path} -> list_recordings(path)
     end)
     |> Enum.uniq()

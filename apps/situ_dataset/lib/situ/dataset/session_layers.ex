@@ -22,18 +22,15 @@ defmodule Situ.Dataset.SessionLayers do
   contains this store as a partition. Its path has no version, so the partition is always the newest version. Edit a
   layer with `Situ.Annotation.Editor`: its `path:` is `store_path/2` and its `stream:` is the name of the layer.
 
-  Layers in other partitions are listed, too, such as those of \\psi or of a batch task. They are not modified:
+  Layers in other partitions are listed, too, such as layers of \\psi or of a batch task. They are not modified, but
   `copy_layer/4` copies one into an editable layer. Dataset files in one folder share the layers of sessions with the
   same name.
   """
   # See docs/adr/0091-annotations-are-streams-with-versions.md.
   alias Situ.Annotation.{EditorState, Layer, Recording, StoreVersions}
   alias Situ.{Dataset, Error}
-  alias Situ.Dataset.{NameRules, OpenSession, Partition, Session}
+  alias Situ.Dataset.{LayersPartition, NameRules, OpenSession, Partition, Session}
   alias Situ.Store.FileLock
-
-  @partition "Annotations"
-  @store "annotations"
 
   @type layer_info :: %{partition: String.t(), stream: String.t(), editable?: boolean()}
 
@@ -60,7 +57,9 @@ defmodule Situ.Dataset.SessionLayers do
   end
 
   defp new_store_path(%Dataset{file: file}, name),
-    do: {:ok, Path.join([Path.dirname(file), escape_name(name), @store])}
+    do:
+      {:ok,
+       file |> Path.dirname() |> Path.join(escape_name(name)) |> LayersPartition.store_path()}
 
   # A session may have the name of a recording that is next to the dataset file. The name of a recording's folder
   # contains a dot, which is escaped here, so that nothing is written into the recording.
@@ -69,22 +68,7 @@ defmodule Situ.Dataset.SessionLayers do
 
   @doc "Returns whether the partition is the store of a session's editable layers."
   @spec layers_partition?(Partition.t()) :: boolean()
-  def layers_partition?(%Partition{path: path}), do: layers_path?(path)
-
-  @doc false
-  @spec layers_path?(Path.t()) :: boolean()
-  def layers_path?(path), do: Path.basename(path) == @store
-
-  @doc false
-  @spec drop_version(Path.t()) :: Path.t()
-  def drop_version(path) do
-    bare = Path.rootname(path)
-    if layers_path?(bare) and path =~ ~r/\.\d{4,}\z/, do: bare, else: path
-  end
-
-  @doc false
-  @spec build_partition(Path.t()) :: Partition.t()
-  def build_partition(path), do: %Partition{name: @partition, store: @store, path: path}
+  def layers_partition?(%Partition{path: path}), do: LayersPartition.layers_path?(path)
 
   @doc "Lists the annotation streams of all partitions. They are recognised by their type or their schema."
   @spec list_layers(OpenSession.t()) :: [layer_info()]
@@ -154,8 +138,9 @@ defmodule Situ.Dataset.SessionLayers do
   end
 
   defp named_partition(session, path) do
-    name = NameRules.make_unique(@partition, Enum.map(session.partitions, & &1.name))
-    %{build_partition(path) | name: name}
+    partition = LayersPartition.build_partition(path)
+    names = Enum.map(session.partitions, & &1.name)
+    %{partition | name: NameRules.make_unique(partition.name, names)}
   end
 
   @doc """

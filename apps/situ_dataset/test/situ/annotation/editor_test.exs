@@ -63,7 +63,7 @@ defmodule Situ.Annotation.EditorTest do
     Agent.stop(watcher)
     assert Editor.status(editor).unsaved?
     Agent.stop(other)
-    # The editor learns of the end of a subscriber by a message of its own.
+    # The end of a subscriber reaches the editor as a separate message.
     assert Stream.repeatedly(fn -> Editor.status(editor).unsaved? end) |> Enum.find(&(not &1)) ==
              false
 

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Annotations do
   # (`Situ.Annotation.Editor`), so a crash of the page or the server loses nothing.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Edit, Editor, Layer, Schema}
-  alias Situ.Studio.Annotations.{Proposals, Request, SchemaForm}
+  alias Situ.Studio.Annotations.{Editors, Proposals, Request, SchemaForm}
   alias Situ.Studio.Catalog
 
   @most 20_000
@@ -74,7 +74,7 @@ defmodule Situ.Studio.Annotations do
   @spec open_editor(Catalog.id(), Path.t(), String.t(), Schema.t() | nil) ::
           {:ok, pid()} | {:error, Error.t()}
   def open_editor(studio, store, stream, schema) do
-    name = {:via, Registry, {Situ.Studio.Registry, editor_key(studio, store, stream)}}
+    name = Editors.editor_name(studio, store, stream)
     opts = [path: store, stream: stream, schema: schema, name: name, save_unwatched: true]
     child = %{id: Editor, start: {Editor, :start_link, [opts]}, restart: :temporary}
 
@@ -91,28 +91,6 @@ defmodule Situ.Studio.Annotations do
       {:error, reason} ->
         {:error, Error.new(:not_opened, "the annotations cannot be opened: #{inspect(reason)}")}
     end
-  end
-
-  defp editor_key(studio, store, stream), do: {studio, :annotation, Path.expand(store), stream}
-
-  @doc "Returns the running editor of a stream of annotations, or `nil`."
-  @spec find_editor(Catalog.id(), Path.t(), String.t()) :: pid() | nil
-  def find_editor(studio, store, stream) do
-    case Registry.lookup(Situ.Studio.Registry, editor_key(studio, store, stream)) do
-      [{pid, _}] -> pid
-      [] -> nil
-    end
-  end
-
-  @doc "Returns the running editors of all streams of some stores."
-  @spec list_editors(Catalog.id(), [Path.t()]) :: [pid()]
-  def list_editors(studio, stores) do
-    for store <- stores,
-        pid <-
-          Registry.select(Situ.Studio.Registry, [
-            {{{studio, :annotation, Path.expand(store), :_}, :"$1", :_}, [], [:"$1"]}
-          ]),
-        do: pid
   end
 
   # The journal does not contain the schema, so a new stream is saved immediately.

@@ -12,7 +12,7 @@ defmodule Situ.Studio.Catalog do
   alias Situ.Dataset.{Session, SessionLayers}
   alias Situ.Recording.Formats
   alias Situ.{Dataset, Error}
-  alias Situ.Studio.Annotations.Layers
+  alias Situ.Studio.Annotations.Home
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.{Layouts, Stores, StreamReader, Recordings}
 
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Catalog do
     # recording on another machine with the address `path` (`situ://...`), and `:node` is a
     # recording on a cluster node (`NODE/NAME`): nothing is written next to either. A session of a
     # dataset lists its recordings in `parts`; `dataset` is the id of the dataset that an item
-    # belongs to. `layers` is the home of its annotation layers (`Situ.Studio.Annotations.Layers`),
+    # belongs to. `layers` is the home of its annotation layers (`Situ.Studio.Annotations.Home`),
     # or nil if it cannot have any.
     @enforce_keys [:id, :title, :kind]
     defstruct [:id, :title, :kind, :path, :dataset, :session, :layers, parts: [], live: false]
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Catalog do
             path: Path.t() | nil,
             dataset: String.t() | nil,
             session: String.t() | nil,
-            layers: Situ.Studio.Annotations.Layers.home() | nil,
+            layers: Situ.Studio.Annotations.Home.t() | nil,
             parts: [{String.t(), Path.t()}],
             live: boolean()
           }
@@ -219,7 +219,7 @@ defmodule Situ.Studio.Catalog do
 
   defp store_item(id, path) do
     kind = store_kind(path)
-    layers = if kind == :store, do: Layers.recording_home(path)
+    layers = if kind == :store, do: Home.recording_home(path)
     %Item{id: id, title: id, kind: kind, path: path, layers: layers}
   end
 
@@ -270,7 +270,7 @@ defmodule Situ.Studio.Catalog do
   # A session with only one recording supports everything that the recording supports, such as the export of a part.
   # The store of its annotation layers is not one of its recordings.
   defp part_item(id, dataset, session, []) do
-    layers = Layers.session_home(dataset, session.name)
+    layers = Home.session_home(dataset, session.name)
 
     case Enum.reject(session.partitions, &SessionLayers.layers_partition?/1) do
       [one] ->

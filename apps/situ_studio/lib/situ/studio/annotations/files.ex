@@ -22,7 +22,7 @@ defmodule Situ.Studio.Annotations.Files do
     do: stream |> URI.encode(&URI.char_unreserved?/1) |> String.replace(".", "%2E")
 
   @doc """
-  Returns whether a path is that of a store of annotations, next to a recording or of a session.
+  Returns whether a path names a store of annotations, next to a recording or of a session.
 
       iex> for path <- ~w(a.0000 a.0000-annotation-Speech.0001 p1/annotations.0002 p1/annotations),
       ...>   do: Situ.Studio.Annotations.Files.layer_store?(path)

@@ -5,54 +5,17 @@ defmodule Situ.Studio.Annotations.Layers do
   # The layers of any other recording are stores next to it (`Situ.Studio.Annotations.Files`).
   # Layers in recordings and other partitions can be copied, but not edited.
   alias Situ.Annotation.{Editor, Layer, Recording, Schema}
-  alias Situ.{Dataset, Error, Store}
-  alias Situ.Dataset.{NameRules, OpenSession, Partition, Session, SessionLayers, StoreVersion}
-  alias Situ.Studio.Annotations.Files
+  alias Situ.{Dataset, Error}
+  alias Situ.Dataset.{NameRules, OpenSession, Partition, Session, SessionLayers}
+  alias Situ.Studio.Annotations.{Files, Home}
   alias Situ.Studio.{Annotations, Catalog, Datasets, IntervalSearch}
-
-  @typedoc "The store of a session's layers, or the recording that has its layers next to it."
-  @type home :: {:session, Path.t()} | {:recording, Path.t()}
-
-  @doc "Returns the home of a recording's layers; `nil` for recordings that are layers themselves."
-  @spec recording_home(Path.t()) :: home() | nil
-  def recording_home(path),
-    do: if(Files.layer_store?(path), do: nil, else: {:recording, path})
-
-  @doc "Returns the home of a session's layers; `nil` if its dataset cannot be changed."
-  @spec session_home(Dataset.t(), String.t()) :: home() | nil
-  def session_home(dataset, session) do
-    case SessionLayers.store_path(dataset, session) do
-      {:ok, store} -> {:session, store}
-      {:error, _} -> nil
-    end
-  end
-
-  @doc "Returns the newest versions of the stores of a home: `[{store, folder}]`."
-  @spec list_versions(home()) :: [{Path.t(), Path.t()}]
-  def list_versions({:session, store}), do: newest_versions([store])
-  def list_versions({:recording, path}), do: path |> Files.list_stores() |> newest_versions()
-
-  defp newest_versions(stores) do
-    for store <- stores, folder = StoreVersion.newest_folder(store), do: {store, folder}
-  end
 
   @doc "Returns the names of the layers of an item that can be edited, sorted."
   @spec list_names(Catalog.Item.t()) :: [String.t()]
   def list_names(%{layers: nil}), do: []
 
   def list_names(item) do
-    names =
-      for {_store, folder} <- list_versions(item.layers), name <- list_streams(folder), do: name
-
-    (names ++ earlier_names(item)) |> Enum.uniq() |> Enum.sort()
-  end
-
-  defp list_streams(folder) do
-    with {:ok, store} <- Store.open(folder) do
-      for info <- Store.streams(store), Recording.annotation_stream?(store, info), do: info.name
-    else
-      _ -> []
-    end
+    (Home.list_names(item.layers) ++ earlier_names(item)) |> Enum.uniq() |> Enum.sort()
   end
 
   # Before sessions had layers, a session with one recording had them next to the recording.
@@ -79,12 +42,9 @@ defmodule Situ.Studio.Annotations.Layers do
   defp store_of(%{layers: {:recording, path}}, name), do: Files.store_path(path, name)
 
   defp store_of(%{layers: {:session, store}} = item, name) do
-    earlier? = name in earlier_names(item) and name not in stored_names(store)
+    earlier? = name in earlier_names(item) and name not in Home.list_names(item.layers)
     if earlier?, do: Files.store_path(item.path, name), else: store
   end
-
-  defp stored_names(store),
-    do: Enum.flat_map(newest_versions([store]), fn {_, folder} -> list_streams(folder) end)
 
   defp link_store(studio, %{layers: {:session, store}} = item, store) do
     with {:ok, %{path: file}} <- Catalog.fetch_item(studio, item.dataset),

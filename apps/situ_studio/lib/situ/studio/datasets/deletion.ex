@@ -83,7 +83,7 @@ defmodule Situ.Studio.Datasets.Deletion do
     end
   end
 
-  # A path without a version means all versions, such as those of a session's annotations.
+  # A path without a version means all versions, such as the versions of a session's annotations.
   defp delete_versions(path) do
     versions =
       for folder <- Store.list(Path.dirname(path)),

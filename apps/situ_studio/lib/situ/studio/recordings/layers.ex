@@ -9,8 +9,7 @@ defmodule Situ.Studio.Recordings.Layers do
   alias Situ.Annotation.Editor
   alias Situ.{Error, Message, Recording, Store}
   alias Situ.Store.StreamInfo
-  alias Situ.Studio.Annotations
-  alias Situ.Studio.Annotations.Layers
+  alias Situ.Studio.Annotations.{Editors, Home}
   alias Situ.Studio.Recordings
 
   @prefix "Annotations."
@@ -18,14 +17,14 @@ defmodule Situ.Studio.Recordings.Layers do
   @enforce_keys [:studio, :home, :cache]
   defstruct [:studio, :home, :cache]
 
-  @type t :: %__MODULE__{studio: String.t(), home: Layers.home(), cache: :ets.table()}
+  @type t :: %__MODULE__{studio: String.t(), home: Home.t(), cache: :ets.table()}
 
   @doc "Adds the layers of a home to a recording; returns the recording without a home."
-  @spec add_layers(Recording.t(), String.t(), Layers.home() | nil) :: Recording.t()
+  @spec add_layers(Recording.t(), String.t(), Home.t() | nil) :: Recording.t()
   def add_layers(recording, _studio, nil), do: recording
 
   def add_layers(recording, studio, home) do
-    # Versions of stores never change, so what was read from them is kept.
+    # Versions of stores never change, so the data read from them are kept.
     cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
     state = %__MODULE__{studio: studio, home: home, cache: cache}
     layers = %Recording{module: __MODULE__, state: state}
@@ -53,7 +52,7 @@ defmodule Situ.Studio.Recordings.Layers do
 
   @impl true
   def streams(state) do
-    for {store, folder} <- Layers.list_versions(state.home),
+    for {store, folder} <- Home.list_versions(state.home),
         name <- list_names(state, folder),
         do: build_info(name, folder, read_messages(state, {store, folder, name}))
   end
@@ -85,7 +84,7 @@ defmodule Situ.Studio.Recordings.Layers do
   defp first_time([message | _]), do: message.originating_time
 
   defp read_messages(state, {store, folder, name}) do
-    case Annotations.find_editor(state.studio, store, name) do
+    case Editors.find_editor(state.studio, store, name) do
       nil ->
         fetch_cached(state, {folder, name}, fn -> stored_messages(folder, name) end)
 

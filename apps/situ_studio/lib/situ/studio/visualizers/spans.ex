@@ -4,8 +4,9 @@ defmodule Situ.Studio.Visualizers.Spans do
   # own time. It accepts a `Situ.Interval` of times, anything with `start` and `stop` (or `end`)
   # in nanoseconds and optionally a `text`, `label` or `name` (an utterance), a `text` with `from`
   # and `to` (a recognised sentence), a pair of an interval and its text, lists of these, and maps
-  # from names of lanes to these, and annotations, whose tracks are lanes. During an utterance, a recogniser sends several drafts of its
-  # text (`final?: false`), of which only the newest is drawn.
+  # from names of lanes to these. The tracks of annotations are lanes, too. During an utterance, a
+  # recogniser sends several drafts of its text (`final?: false`), of which only the newest is
+  # drawn.
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Annotation

@@ -279,6 +279,13 @@ defmodule Situ.Studio.Web.AnnotationPanel do
 
   def refresh_editor(socket), do: socket
 
+  @doc "Sends the current annotations to the page if they have changed in this editor."
+  @spec show_edit(Socket.t(), pid()) :: Socket.t()
+  def show_edit(%{assigns: %{annotation: %{editor: editor}}} = socket, editor),
+    do: push_annotations(socket)
+
+  def show_edit(socket, _editor), do: socket
+
   @doc "Sends the current annotations to the page."
   @spec push_annotations(Socket.t()) :: Socket.t()
   def push_annotations(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do

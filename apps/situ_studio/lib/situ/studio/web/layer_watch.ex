@@ -6,9 +6,8 @@ defmodule Situ.Studio.Web.LayerWatch do
 
   alias Situ.Annotation.Editor
   alias Situ.Live.Socket
-  alias Situ.Studio.Annotations
-  alias Situ.Studio.Annotations.Layers
-  alias Situ.Studio.Web.{AnnotationPanel, LayoutMenu, StreamFacts}
+  alias Situ.Studio.Annotations.{Editors, Home}
+  alias Situ.Studio.Web.{LayoutMenu, StreamFacts}
 
   @registry Situ.Studio.Peers
 
@@ -20,7 +19,7 @@ defmodule Situ.Studio.Web.LayerWatch do
       subscribe_all(studio, home)
     end
 
-    assign(socket, layer_versions: Layers.list_versions(home))
+    assign(socket, layer_versions: Home.list_versions(home))
   end
 
   def join(socket), do: assign(socket, layer_versions: [])
@@ -28,13 +27,13 @@ defmodule Situ.Studio.Web.LayerWatch do
   # An editor that ends in the meantime is not a reason for the page to fail.
   defp subscribe_all(studio, home) do
     for editor <-
-          Annotations.list_editors(studio, Enum.map(Layers.list_versions(home), &elem(&1, 0))),
+          Editors.list_editors(studio, Enum.map(Home.list_versions(home), &elem(&1, 0))),
         do: Editor.subscribe(editor)
   catch
     :exit, _ -> []
   end
 
-  @doc "Tells all pages that show the item, including this one, that its layers have changed."
+  @doc "Notifies all pages that show the item, including this one, that its layers have changed."
   @spec announce(Socket.t()) :: Socket.t()
   def announce(%{assigns: %{item: %{layers: home}, studio: studio}} = socket) do
     Registry.dispatch(@registry, {studio, :layers, home}, fn pages ->
@@ -50,7 +49,7 @@ defmodule Situ.Studio.Web.LayerWatch do
     subscribe_all(studio, home)
 
     socket
-    |> assign(layer_versions: Layers.list_versions(home))
+    |> assign(layer_versions: Home.list_versions(home))
     |> StreamFacts.load()
     |> LayoutMenu.rebuild_automatic()
     |> push_event("layers_changed", %{})
@@ -58,25 +57,18 @@ defmodule Situ.Studio.Web.LayerWatch do
 
   def refresh(socket), do: socket
 
-  @doc "Shows an edit of one of the layers."
-  @spec show_edit(Socket.t(), pid(), term()) :: Socket.t()
-  def show_edit(%{assigns: assigns} = socket, editor, what) do
-    socket =
-      if edited?(assigns, editor), do: AnnotationPanel.push_annotations(socket), else: socket
+  @doc "Requests the page's streams of layers again after an edit. `change` is the editor's message."
+  @spec show_edit(Socket.t(), term()) :: Socket.t()
+  def show_edit(%{assigns: %{item: %{layers: home}}} = socket, :saved),
+    do: assign(socket, layer_versions: Home.list_versions(home))
 
-    if what == :saved,
-      do: assign(socket, layer_versions: Layers.list_versions(assigns.item.layers)),
-      else: push_event(socket, "layers_changed", %{})
-  end
+  def show_edit(socket, _change), do: push_event(socket, "layers_changed", %{})
 
-  defp edited?(%{annotation: %{editor: editor}}, editor), do: true
-  defp edited?(_, _), do: false
-
-  @doc "Reads the layers again if another program has saved one of them."
+  @doc "Reads the layers again if another program has saved a layer."
   @spec check_saved(Socket.t()) :: Socket.t()
   def check_saved(%{assigns: %{item: %{layers: home}, layer_versions: known}} = socket)
       when home != nil do
-    if Layers.list_versions(home) == known, do: socket, else: refresh(socket)
+    if Home.list_versions(home) == known, do: socket, else: refresh(socket)
   end
 
   def check_saved(socket), do: socket

@@ -90,8 +90,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   defp put_comparison(layout, _), do: layout
 
-  # A compared stream is shown in its counterpart's panel, and the edited layer in the annotation panel, so the automatic
-  # layout has no panels for them.
+  # A compared stream is shown in its counterpart's panel, and the edited layer in the annotation panel. The automatic
+  # layout therefore has no panels for them.
   defp automatic_layout(assigns) do
     edited = assigns[:annotation] && Recordings.Layers.stream_name(assigns.annotation.stream)
 

@@ -296,8 +296,8 @@ defmodule Situ.Studio.Web.MainView do
   def handle_info({:proposed, result}, socket),
     do: {:noreply, AnnotationPanel.report_proposals(socket, result)}
 
-  def handle_info({:situ_annotation, editor, what}, socket),
-    do: {:noreply, LayerWatch.show_edit(socket, editor, what)}
+  def handle_info({:situ_annotation, editor, change}, socket),
+    do: {:noreply, socket |> AnnotationPanel.show_edit(editor) |> LayerWatch.show_edit(change)}
 
   def handle_info(:layers_changed, socket), do: {:noreply, LayerWatch.refresh(socket)}
 

@@ -6,7 +6,7 @@ defmodule Situ.Studio.Annotations.LayersTest do
   alias Situ.Annotation.{Edit, Layer, Recording, Schema}
   alias Situ.Dataset.{OpenSession, SessionLayers}
   alias Situ.Live.Test, as: Page
-  alias Situ.Studio.Annotations.Layers
+  alias Situ.Studio.Annotations.{Home, Layers}
   alias Situ.Studio.{Catalog, StreamReader}
   alias Situ.Studio.Web.MainView
 
@@ -146,7 +146,7 @@ defmodule Situ.Studio.Annotations.LayersTest do
 
   test "a read-only dataset is refused with a reason", %{studio: studio, tmp_dir: dir} do
     {:ok, dataset} = Dataset.load(Path.join(dir, "study.json"))
-    assert Layers.session_home(%{dataset | file: nil}, "p1") == nil
+    assert Home.session_home(%{dataset | file: nil}, "p1") == nil
     {:ok, item} = Catalog.fetch_item(studio, "study.json/p1")
     refute Situ.Studio.Web.AnnotationPanel.available?(%{read_only: true, item: item})
     assert Layers.list_names(%{item | layers: nil}) == []
