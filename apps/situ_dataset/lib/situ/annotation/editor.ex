@@ -45,17 +45,17 @@ defmodule Situ.Annotation.Editor do
 
   @doc """
   Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
-  `stream:`, `schema:` (for a stream that does not exist yet), `save_unwatched:` (whether the editor saves when its last
-  subscriber ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`, `:bad_journal` and the
+  `stream:`, `schema:` (for a stream that does not exist yet), `save_on_leave:` (whether the editor saves when the last
+  subscriber that has edited ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`, `:bad_journal` and the
   errors of the store.
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
-    {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema, :save_unwatched])
+    {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema, :save_on_leave])
     {path, stream} = {Keyword.fetch!(own_opts, :path), Keyword.fetch!(own_opts, :stream)}
 
     with {:ok, state} <- EditorState.open_state(path, stream, own_opts[:schema]) do
-      state = Map.put(state, :save_unwatched?, own_opts[:save_unwatched] || false)
+      state = Map.merge(state, %{save_on_leave?: own_opts[:save_on_leave] || false, writers: []})
       started = GenServer.start_link(__MODULE__, state, opts)
       # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
@@ -149,8 +149,10 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  def handle_call({:edit, fun}, _from, state) do
-    run_locked_edit(state, fn state ->
+  def handle_call({:edit, fun}, {pid, _}, state) do
+    state
+    |> remember_writer(pid)
+    |> run_locked_edit(fn state ->
       with {:ok, %Layer{}, transaction} <- run_edit(fun, state.layer),
            {:ok, state} <- apply_transaction(state, transaction),
            do: {:ok, %{state | undo: [transaction | state.undo], redo: []}}
@@ -268,18 +270,29 @@ defmodule Situ.Annotation.Editor do
 
   @impl true
   def handle_info({:DOWN, _, :process, pid, _}, state),
-    do: {:noreply, save_unwatched(%{state | subscribers: Map.delete(state.subscribers, pid)})}
+    do:
+      {:noreply,
+       save_on_leave(%{
+         state
+         | subscribers: Map.delete(state.subscribers, pid),
+           writers: List.delete(state.writers, pid)
+       })}
 
   def handle_info(_, state), do: {:noreply, state}
 
   # If it cannot save, the edits remain in the journal.
-  defp save_unwatched(%{save_unwatched?: true, unsaved?: true, subscribers: none} = state)
-       when none == %{} do
+  defp save_on_leave(%{save_on_leave?: true, unsaved?: true, writers: []} = state) do
     case save_version(state) do
       {:ok, state} -> EditorState.unlock_journal(state)
       {:error, _} -> state
     end
   end
 
-  defp save_unwatched(state), do: state
+  defp save_on_leave(state), do: state
+
+  defp remember_writer(%{subscribers: subscribers, writers: writers} = state, pid) do
+    if is_map_key(subscribers, pid) and pid not in writers,
+      do: %{state | writers: [pid | writers]},
+      else: state
+  end
 end

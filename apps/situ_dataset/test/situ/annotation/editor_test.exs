@@ -53,21 +53,39 @@ defmodule Situ.Annotation.EditorTest do
     assert again.schema == layer.schema
   end
 
-  test "saves when the last subscriber ends, if asked to", %{path: path} do
+  test "saves when the last subscriber that has edited ends, if asked to", %{path: path} do
     {:ok, editor} =
-      Editor.start_link(path: path, stream: "Speech", schema: schema(), save_unwatched: true)
+      Editor.start_link(path: path, stream: "Speech", schema: schema(), save_on_leave: true)
 
-    {:ok, watcher} = Agent.start_link(fn -> Editor.subscribe(editor) end)
-    {:ok, other} = Agent.start_link(fn -> Editor.subscribe(editor) end)
-    {:ok, _} = add(editor, 0, 10)
-    Agent.stop(watcher)
+    # This process only watches.
+    :ok = Editor.subscribe(editor)
+    [one, two] = for from <- [0, 20], do: start_annotator(editor, from)
+    end_annotator(one)
     assert Editor.status(editor).unsaved?
-    Agent.stop(other)
-    # The end of a subscriber reaches the editor as a separate message.
-    assert Stream.repeatedly(fn -> Editor.status(editor).unsaved? end) |> Enum.find(&(not &1)) ==
-             false
+    end_annotator(two)
+    assert_receive {:situ_annotation, ^editor, :saved}
+    assert stored(path, "Speech") == [{0, 10}, {20, 30}]
+  end
 
-    assert stored(path, "Speech") == [{0, 10}]
+  defp start_annotator(editor, from) do
+    test = self()
+
+    pid =
+      spawn_link(fn ->
+        :ok = Editor.subscribe(editor)
+        {:ok, _} = add(editor, from, from + 10)
+        send(test, {:edited, self()})
+        receive do: (:leave -> :ok)
+      end)
+
+    assert_receive {:edited, ^pid}
+    pid
+  end
+
+  defp end_annotator(pid) do
+    monitor = Process.monitor(pid)
+    send(pid, :leave)
+    assert_receive {:DOWN, ^monitor, :process, ^pid, _}
   end
 
   test "stores the outcome of a review", %{path: path} do

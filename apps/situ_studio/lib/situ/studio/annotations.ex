@@ -75,7 +75,7 @@ defmodule Situ.Studio.Annotations do
           {:ok, pid()} | {:error, Error.t()}
   def open_editor(studio, store, stream, schema) do
     name = Editors.editor_name(studio, store, stream)
-    opts = [path: store, stream: stream, schema: schema, name: name, save_unwatched: true]
+    opts = [path: store, stream: stream, schema: schema, name: name, save_on_leave: true]
     child = %{id: Editor, start: {Editor, :start_link, [opts]}, restart: :temporary}
 
     case DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), child) do

@@ -54,11 +54,13 @@ defmodule Situ.Studio.Web.LayerDialog do
   # A layer with the same schema for another annotator, so that the two layers can be compared.
   defp apply_event("layer_own", %{"stream" => name, "by" => by}, socket)
        when is_binary(name) and is_binary(by) do
-    own = layer_name(name, by)
-
-    if own == name,
-      do: show_toast(socket, "The layer needs the name of its annotator"),
-      else: open_like(socket, own, socket.assigns.item, name)
+    with {:ok, layer} <- Layers.read_layer(socket.assigns.studio, socket.assigns.item, name),
+         own when own != name <- layer_name(base_name(name, layer.schema.name), by) do
+      socket |> assign(dialog: nil) |> AnnotationPanel.open_layer(own, layer.schema)
+    else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+      _same -> show_toast(socket, "The layer needs the name of another annotator")
+    end
   end
 
   # A layer of another partition is copied, so that it can be edited.
@@ -135,6 +137,10 @@ defmodule Situ.Studio.Web.LayerDialog do
   defp build_schema("box", name, _), do: {:ok, Annotations.build_spatial_schema(name, :box)}
   defp build_schema("point", name, _), do: {:ok, Annotations.build_spatial_schema(name, :point)}
   defp build_schema(_, name, values), do: Annotations.parse_schema(name, values)
+
+  # The name of a layer without its annotator: a schema has the name of the first layer that was created with it.
+  defp base_name(name, schema),
+    do: if(String.starts_with?(name, schema <> "."), do: schema, else: name)
 
   # The layer of a named annotator has that name as a suffix.
   defp layer_name(stream, by) when is_binary(by) do

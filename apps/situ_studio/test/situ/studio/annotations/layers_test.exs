@@ -106,6 +106,17 @@ defmodule Situ.Studio.Annotations.LayersTest do
     assert Page.has_element?(again, "#tree .node[data-stream='Annotations.Speech']")
   end
 
+  test "each annotator has a layer", %{studio: studio, study: file} do
+    page = open(studio, "p1")
+    Page.send_event(page, "layer_new", %{"name" => "Turns", "values" => "a 1", "by" => "Ada"})
+    other = open(studio, "p1")
+    Page.send_event(other, "layer_own", %{"stream" => "Turns.Ada", "by" => "Ben"})
+    assert Page.get_attribute(other, "#studio", "data-annotate") == "Turns.Ben"
+    assert Map.keys(stored(file, "p1")) == ["Turns.Ada", "Turns.Ben"]
+    Page.send_event(other, "layer_own", %{"stream" => "Turns.Ben", "by" => "Ben"})
+    assert Map.keys(stored(file, "p1")) == ["Turns.Ada", "Turns.Ben"]
+  end
+
   test "a layer of another partition is copied", %{studio: studio, study: file, tmp_dir: dir} do
     {:ok, empty} = Layer.new(Schema.finite("Speech", ["speaks"]))
     {:ok, found, _} = Edit.add_proposals(empty, [Annotation.new(0, 5_000, "Ada")])

@@ -3,6 +3,8 @@ defmodule Situ.Studio.Visualizers.SpansTest do
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
+  alias Situ.Studio.StreamInfo
+  alias Situ.Studio.Visualizers.Spans
 
   setup do: {:ok, session: session()}
 
@@ -44,8 +46,30 @@ defmodule Situ.Studio.Visualizers.SpansTest do
   end
 
   test "numbers named from and to are times only next to a text" do
-    alias Situ.Studio.StreamInfo
     assert StreamInfo.shape_of(%{from: 1, to: 2, weight: "heavy"}) == :value
     assert StreamInfo.shape_of(%{text: "hello", from: 1, to: 2}) == :spans
+  end
+
+  test "draws annotations, whose tracks are lanes", %{session: session} do
+    ada = Situ.Annotation.new(1_100_000_000, 1_200_000_000, "Ada", %{"Speech" => "speaks"})
+    assert StreamInfo.shape_of_type({:list, Situ.Annotation}) == :spans
+    put(session, "speech", [{1_200_000_000, [ada]}])
+
+    assert %{payload: json} = shown(session, "speech", "spans", 1_000_000_000, 1_300_000_000)
+    assert [[_, _, "speaks", "span", "Ada"]] = json(json)
+  end
+
+  test "draws annotations of psi" do
+    end_at = fn time -> %{"Bounded" => true, "Inclusive" => true, "Point" => time} end
+
+    one = %{
+      "Interval" => %{"LeftEndpoint" => end_at.(5), "RightEndpoint" => end_at.(20)},
+      "Track" => "Ada",
+      "AttributeValues" => %{"Who" => %{"Value" => "A"}}
+    }
+
+    set = %{"data" => %{"Ada" => one}}
+    assert StreamInfo.shape_of(set) == :spans
+    assert Spans.find_spans(set, 20) == [{5, 20, "A", "span", "Ada"}]
   end
 end
