@@ -55,7 +55,13 @@ defmodule Situ.Annotation.Editor do
     {path, stream} = {Keyword.fetch!(own_opts, :path), Keyword.fetch!(own_opts, :stream)}
 
     with {:ok, state} <- EditorState.open_state(path, stream, own_opts[:schema]) do
-      state = Map.merge(state, %{save_on_leave?: own_opts[:save_on_leave] || false, writers: []})
+      state =
+        Map.merge(state, %{
+          save_on_leave?: own_opts[:save_on_leave] || false,
+          writers: [],
+          revision: :counters.new(1, [])
+        })
+
       started = GenServer.start_link(__MODULE__, state, opts)
       # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
@@ -66,6 +72,10 @@ defmodule Situ.Annotation.Editor do
   @doc "Returns the current annotations."
   @spec current_layer(server()) :: Layer.t()
   def current_layer(server), do: GenServer.call(server, :layer)
+
+  @doc "Returns a number that changes with every message to subscribers, such as after an edit."
+  @spec revision(server()) :: non_neg_integer()
+  def revision(server), do: GenServer.call(server, :revision)
 
   @doc """
   Returns `undo` and `redo` (the number of steps in each direction), `unsaved?`, `recovered` (the number of
@@ -124,6 +134,7 @@ defmodule Situ.Annotation.Editor do
 
   @impl true
   def handle_call(:layer, _from, state), do: {:reply, state.layer, state}
+  def handle_call(:revision, _from, state), do: {:reply, :counters.get(state.revision, 1), state}
 
   def handle_call(:status, _from, state) do
     status = %{
@@ -265,8 +276,10 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  defp notify_subscribers(state, what),
-    do: for({pid, _} <- state.subscribers, do: send(pid, {:situ_annotation, self(), what}))
+  defp notify_subscribers(state, what) do
+    :counters.add(state.revision, 1, 1)
+    for {pid, _} <- state.subscribers, do: send(pid, {:situ_annotation, self(), what})
+  end
 
   @impl true
   def handle_info({:DOWN, _, :process, pid, _}, state),

@@ -270,19 +270,20 @@ defmodule Situ.Studio.Catalog do
   # A session with only one recording supports everything that the recording supports, such as the export of a part.
   # The store of its annotation layers is not one of its recordings.
   defp part_item(id, dataset, session, []) do
-    layers = Home.session_home(dataset, session.name)
-
     case Enum.reject(session.partitions, &SessionLayers.layers_partition?/1) do
       [one] ->
         item = store_item(id, one.path)
-        %{item | title: session.name, session: session.name, layers: layers}
+        put_session(item, session, Home.session_home(dataset, session.name, one.path))
 
       recordings ->
         parts = for p <- recordings, do: {p.name, p.path}
         item = %Item{id: id, title: session.name, kind: :session, parts: parts}
-        %{item | session: session.name, layers: layers}
+        put_session(item, session, Home.session_home(dataset, session.name))
     end
   end
+
+  defp put_session(item, session, layers),
+    do: %{item | title: session.name, session: session.name, layers: layers}
 
   defp list_items(state) do
     {recordings, datasets} = state.stores || {[], []}

@@ -7,22 +7,14 @@ defmodule Situ.Studio.Annotations.Layers do
   alias Situ.Annotation.{Editor, Layer, Recording, Schema}
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{NameRules, OpenSession, Partition, Session, SessionLayers}
-  alias Situ.Studio.Annotations.{Files, Home}
+  alias Situ.Studio.Annotations.Home
   alias Situ.Studio.{Annotations, Catalog, Datasets, IntervalSearch}
 
   @doc "Returns the names of the layers of an item that can be edited, sorted."
   @spec list_names(Catalog.Item.t()) :: [String.t()]
   def list_names(%{layers: nil}), do: []
 
-  def list_names(item) do
-    (Home.list_names(item.layers) ++ earlier_names(item)) |> Enum.uniq() |> Enum.sort()
-  end
-
-  # Before sessions had layers, a session with one recording had them next to the recording.
-  defp earlier_names(%{layers: {:session, _}, path: path}) when path != nil,
-    do: Files.list_streams(path)
-
-  defp earlier_names(_), do: []
+  def list_names(item), do: Home.list_names(item.layers)
 
   @doc """
   Returns the editor of a layer. `schema` creates a missing layer; the first layer of a session also adds the store to
@@ -31,7 +23,7 @@ defmodule Situ.Studio.Annotations.Layers do
   @spec open_editor(Catalog.id(), Catalog.Item.t(), String.t(), Schema.t() | nil) ::
           {:ok, pid()} | {:error, Error.t()}
   def open_editor(studio, item, name, schema) do
-    store = store_of(item, name)
+    store = Home.find_store(item.layers, name)
 
     with {:ok, editor} <- Annotations.open_editor(studio, store, name, schema),
          :ok <- link_store(studio, item, store) do
@@ -39,14 +31,7 @@ defmodule Situ.Studio.Annotations.Layers do
     end
   end
 
-  defp store_of(%{layers: {:recording, path}}, name), do: Files.store_path(path, name)
-
-  defp store_of(%{layers: {:session, store}} = item, name) do
-    earlier? = name in earlier_names(item) and name not in Home.list_names(item.layers)
-    if earlier?, do: Files.store_path(item.path, name), else: store
-  end
-
-  defp link_store(studio, %{layers: {:session, store}} = item, store) do
+  defp link_store(studio, %{layers: {:session, store, _}} = item, store) do
     with {:ok, %{path: file}} <- Catalog.fetch_item(studio, item.dataset),
          {:ok, dataset} <- Dataset.load(file),
          {:ok, session} <- Dataset.session(dataset, item.session) do
@@ -68,7 +53,8 @@ defmodule Situ.Studio.Annotations.Layers do
   @spec read_layer(Catalog.id(), Catalog.Item.t(), String.t()) ::
           {:ok, Layer.t()} | {:error, Error.t()}
   def read_layer(studio, item, name) do
-    with {:ok, editor} <- Annotations.open_editor(studio, store_of(item, name), name, nil),
+    with {:ok, editor} <-
+           Annotations.open_editor(studio, Home.find_store(item.layers, name), name, nil),
          do: {:ok, Editor.current_layer(editor)}
   end
 
@@ -98,7 +84,7 @@ defmodule Situ.Studio.Annotations.Layers do
           {:ok, String.t()} | {:error, Error.t()}
   def copy_foreign(studio, item, {partition, stream}) do
     name = NameRules.make_unique(stream, list_names(item))
-    store = store_of(item, name)
+    store = Home.find_store(item.layers, name)
     address = "[#{partition}]:#{stream}"
 
     with {:ok, {_, recording, _}} <-

@@ -7,7 +7,7 @@ defmodule Situ.Studio.Recordings.Layers do
 
   alias Situ.Annotation
   alias Situ.Annotation.Editor
-  alias Situ.{Error, Message, Recording, Store}
+  alias Situ.{Recording, Store}
   alias Situ.Store.StreamInfo
   alias Situ.Studio.Annotations.{Editors, Home}
   alias Situ.Studio.Recordings
@@ -24,7 +24,6 @@ defmodule Situ.Studio.Recordings.Layers do
   def add_layers(recording, _studio, nil), do: recording
 
   def add_layers(recording, studio, home) do
-    # Versions of stores never change, so the data read from them are kept.
     cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
     state = %__MODULE__{studio: studio, home: home, cache: cache}
     layers = %Recording{module: __MODULE__, state: state}
@@ -53,12 +52,12 @@ defmodule Situ.Studio.Recordings.Layers do
   @impl true
   def streams(state) do
     for {store, folder} <- Home.list_versions(state.home),
-        name <- list_names(state, folder),
-        do: build_info(name, folder, read_messages(state, {store, folder, name}))
+        name <- list_names(state, {store, folder}),
+        do: build_info(state, {store, folder, name})
   end
 
-  defp list_names(state, folder) do
-    fetch_cached(state, folder, fn ->
+  defp list_names(state, {store, folder}) do
+    fetch_cached(state, {:names, store}, folder, fn ->
       case Store.open(folder) do
         {:ok, store} -> for info <- Store.streams(store), do: info.name
         {:error, _} -> []
@@ -66,40 +65,48 @@ defmodule Situ.Studio.Recordings.Layers do
     end)
   end
 
-  defp build_info(name, folder, messages) do
+  defp build_info(state, {store, folder, name} = layer) do
+    {count, first, last} = fetch_layer(state, layer, :extent)
+
     %StreamInfo{
       id: nil,
       name: name,
-      store_path: folder,
+      store_path: store,
       type: {:list, Annotation},
       type_name: "list of Situ.Annotation",
-      count: length(messages),
-      first: first_time(messages),
-      last: messages |> Enum.take(-1) |> first_time(),
-      extra: %{summary: :none, messages: messages}
+      count: count,
+      first: first,
+      last: last,
+      extra: %{summary: :none, layer: {store, folder, name}}
     }
   end
 
-  defp first_time([]), do: nil
-  defp first_time([message | _]), do: message.originating_time
+  # Returns the messages of a layer, or their extent: the number of messages and the first and last time.
+  defp fetch_layer(state, {store, folder, name}, what) do
+    editor = Editors.find_editor(state.studio, store, name)
+    stamp = if editor, do: {editor, Editor.revision(editor)}, else: folder
 
-  defp read_messages(state, {store, folder, name}) do
-    case Editors.find_editor(state.studio, store, name) do
-      nil ->
-        fetch_cached(state, {folder, name}, fn -> stored_messages(folder, name) end)
-
-      editor ->
-        editor
-        |> Editor.current_layer()
-        |> Annotation.Layer.annotations()
-        |> Annotation.to_messages()
-    end
+    fetch_cached(state, {what, store, name}, stamp, fn ->
+      load_layer(editor, folder, name, what)
+    end)
   catch
     # The editor ended in the meantime.
-    :exit, _ -> stored_messages(folder, name)
+    :exit, _ -> load_layer(nil, folder, name, what)
   end
 
-  defp stored_messages(folder, name) do
+  defp load_layer(editor, folder, name, :messages), do: load_messages(editor, folder, name)
+
+  defp load_layer(editor, folder, name, :extent) do
+    case load_messages(editor, folder, name) do
+      [] ->
+        {0, nil, nil}
+
+      [first | _] = messages ->
+        {length(messages), first.originating_time, List.last(messages).originating_time}
+    end
+  end
+
+  defp load_messages(nil, folder, name) do
     with {:ok, store} <- Store.open(folder),
          {:ok, annotations} <- Annotation.Recording.read_annotations(store, name) do
       Annotation.to_messages(annotations)
@@ -108,34 +115,36 @@ defmodule Situ.Studio.Recordings.Layers do
     end
   end
 
-  defp fetch_cached(%{cache: cache}, key, fun) do
-    with [] <- :ets.lookup(cache, key) do
-      value = fun.()
-      :ets.insert(cache, {key, value})
-      value
-    else
-      [{_, value}] -> value
+  defp load_messages(editor, _folder, _name) do
+    editor
+    |> Editor.current_layer()
+    |> Annotation.Layer.annotations()
+    |> Annotation.to_messages()
+  end
+
+  # Keeps one value for each key, until its stamp changes.
+  defp fetch_cached(%{cache: cache}, key, stamp, fun) do
+    case :ets.lookup(cache, key) do
+      [{_, ^stamp, value}] ->
+        value
+
+      _ ->
+        value = fun.()
+        :ets.insert(cache, {key, stamp, value})
+        value
     end
   end
 
-  # The information on a stream contains its messages, so that one request of a page sees one state of the layer.
   @impl true
-  def seek(_state, %{extra: %{messages: messages}}, time),
-    do: {:ok, Enum.count(messages, &(&1.originating_time < time))}
+  def seek(state, %{extra: %{layer: layer}}, time) do
+    {:ok, state |> fetch_layer(layer, :messages) |> Enum.count(&(&1.originating_time < time))}
+  end
 
   @impl true
-  @spec read(
-          t(),
-          StreamInfo.t(),
-          non_neg_integer(),
-          Situ.Time.t() | :unbounded,
-          pos_integer(),
-          keyword()
-        ) ::
-          {:ok, [Message.t()], non_neg_integer()} | {:error, Error.t()}
-  def read(_state, %{extra: %{messages: messages}}, ordinal, to, limit, _opts) do
+  def read(state, %{extra: %{layer: layer}}, ordinal, to, limit, _opts) do
     page =
-      messages
+      state
+      |> fetch_layer(layer, :messages)
       |> Enum.slice(ordinal, limit)
       |> Enum.take_while(&(to == :unbounded or &1.originating_time <= to))
 

@@ -106,6 +106,24 @@ defmodule Situ.Studio.Annotations.LayersTest do
     assert Page.has_element?(again, "#tree .node[data-stream='Annotations.Speech']")
   end
 
+  test "a session of one recording includes the layers next to the recording",
+       %{studio: studio, study: file} do
+    params = %{"id" => ["room.0000"]}
+    session = %{"studio" => studio}
+    page = Page.mount(MainView, path: "/s/room.0000", params: params, session: session)
+    create(page, "Earlier")
+    {:ok, item} = Catalog.fetch_item(studio, "study.json/single")
+    assert Layers.list_names(item) == ["Earlier"]
+    page = open(studio, "single", %{"annotate" => "Earlier"})
+    add(page, 1_000, 2_000, "Ada")
+    {:ok, layer} = Layers.read_layer(studio, item, "Earlier")
+    assert [%{track: "Ada"}] = Layer.annotations(layer)
+    assert stored(file, "single") == %{}
+    create(page, "Speech")
+    assert Layers.list_names(item) == ["Earlier", "Speech"]
+    assert stored(file, "single") == %{"Speech" => []}
+  end
+
   test "each annotator has a layer", %{studio: studio, study: file} do
     page = open(studio, "p1")
     Page.send_event(page, "layer_new", %{"name" => "Turns", "values" => "a 1", "by" => "Ada"})
