@@ -5,7 +5,7 @@ import { join } from "node:path";
 
 // The maximum duration of a step in ms. It is much longer than a step needs, even on a busy machine, and only a
 // failing test waits that long.
-export const PATIENCE = Number(process.env.PATIENCE ?? 120_000);
+export const PATIENCE = 120_000;
 
 const tests = [];
 export const test = (name, run) => tests.push({ name, run });

@@ -257,7 +257,7 @@ defmodule Situ.Examples.Study do
     end
 
     IO.puts(
-      "Next: run bin/situ dataset info #{dataset.file}, then accept or reject the proposals in the studio."
+      "Next: run bin/situ studio #{dataset.file} and open a session. Press a to copy its proposals, and q to review them."
     )
   end
 end

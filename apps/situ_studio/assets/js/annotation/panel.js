@@ -155,15 +155,9 @@ export class AnnotationPanel {
   }
 
   addAnnotation(from, to, values = {}) {
-    const { toAbsolute: abs } = this.app.client;
-    const toAbsolute = (t) => abs.call(this.app.client, t);
-    this.pushEdit("add", {
-      from: toAbsolute(from),
-      to: toAbsolute(to),
-      track: this.track,
-      values,
-      by: this.annotator,
-    });
+    const { client } = this.app;
+    const [a, b] = [from, to].map((t) => client.toAbsolute(t));
+    this.pushEdit("add", { from: a, to: b, track: this.track, values, by: this.annotator });
   }
 
   moveEdge({ id }, edge, t, alone = false) {

@@ -6,7 +6,7 @@ defmodule Situ.Studio.Datasets.Deletion do
   # A dataset file may come from anyone and name any path. Therefore only stores (intact or
   # damaged) and files that a reader can open are deleted.
   alias Situ.Dataset
-  alias Situ.Dataset.Partition
+  alias Situ.Dataset.{Partition, SessionLayers}
   alias Situ.{Error, Store}
 
   @doc "Deletes the recordings of these partitions. A recording that no longer exists counts as deleted."
@@ -14,7 +14,7 @@ defmodule Situ.Studio.Datasets.Deletion do
           :ok | {:error, Error.t()}
   def delete_partitions(dataset, partitions) do
     with :ok <- each_until_error(partitions, &check_deletable(dataset, partitions, &1)),
-         do: each_until_error(partitions, fn {_, partition} -> delete_path(partition.path) end)
+         do: each_until_error(partitions, fn {_, partition} -> delete_partition(partition) end)
   end
 
   defp each_until_error(list, fun) do
@@ -74,23 +74,26 @@ defmodule Situ.Studio.Datasets.Deletion do
         fix: "remove it from the dataset, and delete the file with another program"
       )
 
+  # The layers of a session are all versions of their store.
+  defp delete_partition(%{path: path} = partition) do
+    if SessionLayers.layers_partition?(partition),
+      do: each_until_error(list_versions(path), &Store.delete/1),
+      else: delete_path(path)
+  end
+
+  defp list_versions(path) do
+    for folder <- Store.list(Path.dirname(path)),
+        folder =~ ~r/\.\d{4,}\z/ and Path.rootname(folder) == path,
+        do: folder
+  end
+
   defp delete_path(path) do
     cond do
-      not File.exists?(path) -> delete_versions(path)
+      not File.exists?(path) -> :ok
       Store.exists?(path) -> Store.delete(path)
       File.regular?(path) -> removal_result(File.rm(path), path)
       true -> {:error, not_a_recording_error(path)}
     end
-  end
-
-  # A path without a version means all versions, such as the versions of a session's annotations.
-  defp delete_versions(path) do
-    versions =
-      for folder <- Store.list(Path.dirname(path)),
-          folder =~ ~r/\.\d{4,}\z/ and Path.rootname(folder) == path,
-          do: folder
-
-    each_until_error(versions, &Store.delete/1)
   end
 
   defp removal_result(:ok, _), do: :ok

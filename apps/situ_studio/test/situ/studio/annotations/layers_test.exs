@@ -8,6 +8,7 @@ defmodule Situ.Studio.Annotations.LayersTest do
   alias Situ.Live.Test, as: Page
   alias Situ.Studio.Annotations.{Home, Layers}
   alias Situ.Studio.{Catalog, StreamReader}
+  alias Situ.Studio.Datasets.{Deletion, Summary}
   alias Situ.Studio.Web.MainView
 
   @moduletag :tmp_dir
@@ -171,6 +172,27 @@ defmodule Situ.Studio.Annotations.LayersTest do
       page = open(studio, "p2", %{"annotate" => "Other", "previous" => bad})
       refute Page.has_element?(page, "#annotation-dialog")
     end
+  end
+
+  test "a session is deleted with all versions of its layers", %{studio: studio, study: file} do
+    page = open(studio, "p1")
+    create(page, "Speech")
+    add(page, 1_000, 2_000, "Ada")
+    Page.send_event(page, "annotation_edit", %{"do" => "save"})
+    {:ok, dataset} = Dataset.load(file)
+    {:ok, session} = Dataset.session(dataset, "p1")
+    {:ok, partition} = Dataset.Session.fetch_partition(session, "Annotations")
+    folder = Path.dirname(partition.path)
+    assert Enum.sort(Store.list(folder)) == for(n <- 0..1, do: "#{partition.path}.000#{n}")
+    # The facts about the newest version change with every save.
+    stamp = Summary.file_stamp(partition.path)
+    assert is_tuple(stamp)
+
+    assert %{error: nil, streams: [%{name: "Speech", count: 1}]} =
+             Summary.of_recording(partition.path)
+
+    assert :ok = Deletion.delete_partitions(dataset, [{"p1", partition}])
+    assert Store.list(folder) == []
   end
 
   test "a read-only dataset is refused with a reason", %{studio: studio, tmp_dir: dir} do
