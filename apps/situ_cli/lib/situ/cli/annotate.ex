@@ -54,8 +54,7 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "the time that becomes 0 in the file (default: the start of --media-of or of the session, " <>
-              "else the first annotation)"
+            "time 0 of the file (default: the start of --media-of or the session, else the first annotation)"
           ),
           Option.new(
             :media_of,
@@ -81,9 +80,10 @@ defmodule Situ.CLI.Annotate do
         words: ["annotate", "import"],
         summary:
           "create an annotation store from a file of ELAN, Praat, players, Label Studio or spreadsheets",
-        about:
-          "If a store of that name exists, a new version is created, with copies of its other streams. If OUT is a " <>
-            "dataset file, the annotations become a layer of a session.",
+        about: """
+        If a store of that name exists, a new version is created, with copies of its other streams. If OUT is a dataset
+        file, the annotations become a layer of a session.
+        """,
         arguments: [
           file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
           out: [kind: :new, doc: "ROOT/NAME of the annotation store, or a dataset file"]
