@@ -46,8 +46,8 @@ defmodule Situ.Annotation.Editor do
   @doc """
   Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
   `stream:`, `schema:` (for a stream that does not exist yet), `save_on_leave:` (whether the editor saves when the last
-  subscriber that has edited ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`, `:bad_journal` and the
-  errors of the store.
+  subscriber that has edited ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`,
+  `:bad_journal` and the errors of the store.
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do

@@ -257,7 +257,8 @@ defmodule Situ.Examples.Study do
     end
 
     IO.puts(
-      "Next: run bin/situ studio #{dataset.file} and open a session. Press a to copy its proposals, and q to review them."
+      "Next: run bin/situ studio #{dataset.file} and open a session. Press a to copy its proposals, and q to " <>
+        "review them."
     )
   end
 end

@@ -13,7 +13,7 @@ test("proposals are reviewed in the order of their times, and accepted annotatio
   );
 });
 
-test("the next proposal follows the current one, also if it was just settled, and the last is followed by the first", () => {
+test("the next proposal follows the current one, also after it was settled; after the last comes the first", () => {
   assert.equal(neighborProposal(items, items[1], 1).id, 3);
   assert.equal(neighborProposal(items, items[0], 1).id, 2);
   assert.equal(neighborProposal(items, items[1], -1).id, 1);
