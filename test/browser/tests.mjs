@@ -10,6 +10,8 @@ import "./live_tests.mjs";
 import "./together_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
+import "./annotation_tests.mjs";
+import "./session_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
 import "./plugin_tests.mjs";
@@ -20,9 +22,6 @@ import "./headset_tests.mjs";
 import "./work_tests.mjs";
 import "./compare_tests.mjs";
 import "./derived_tests.mjs";
-// Layers of annotations change the automatic layout of the recordings, so their tests come after the others.
-import "./annotation_tests.mjs";
-import "./session_tests.mjs";
 import "./settings_tests.mjs";
 import "./access_tests.mjs";
 import "./serving_tests.mjs";
