@@ -11,6 +11,9 @@ defmodule Situ.Store.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([], env: [recording_formats: [Situ.Store.Csv]])
+    Situ.MixApp.application([],
+      mod: {Situ.Store.Application, []},
+      env: [recording_formats: [Situ.Store.Csv]]
+    )
   end
 end

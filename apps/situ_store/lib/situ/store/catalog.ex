@@ -85,8 +85,14 @@ defmodule Situ.Store.Catalog do
 
   defp apply_record(%{"kind" => "piece"} = r, catalog) do
     every = if is_integer(r["every"]) and r["every"] > 0, do: r["every"]
-    before = catalog.piece || %{every: nil, full?: false}
-    piece = %{every: every || before.every, full?: r["full"] == true or before.full?}
+    before = catalog.piece || %{every: nil, full?: false, run: nil}
+
+    piece = %{
+      every: every || before.every,
+      full?: r["full"] == true or before.full?,
+      run: before.run || text_or_nil(r["run"])
+    }
+
     %{catalog | piece: piece}
   end
 

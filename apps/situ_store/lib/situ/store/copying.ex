@@ -9,7 +9,7 @@ defmodule Situ.Store.Copying do
   alias Situ.Error
   alias Situ.Store.Copying.Passes
   alias Situ.Recording.Formats
-  alias Situ.Store.{Draft, NativeErrors, Folder, Query, StreamInfo}
+  alias Situ.Store.{Draft, NativeErrors, Folder, Query, Segments, StreamInfo}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -320,9 +320,16 @@ defmodule Situ.Store.Copying do
   @spec put_store_defaults(keyword(), [StreamInfo.t()]) :: keyword()
   def put_store_defaults(opts, infos) do
     stored = infos |> Enum.map(& &1.stored) |> Enum.sum()
-    mode = infos |> Enum.map(& &1.store_path) |> Enum.uniq() |> Folder.mode_of()
+    paths = infos |> Enum.map(& &1.store_path) |> Enum.uniq() |> Enum.flat_map(&list_stores/1)
+    mode = Folder.mode_of(paths)
 
     opts = Keyword.put_new(opts, :first_extent, stored |> max(@smallest) |> min(@largest))
     if mode, do: Keyword.put_new(opts, :mode, mode), else: opts
+  end
+
+  defp list_stores(path) do
+    if path != nil and Segments.segmented?(path),
+      do: Folder.list_versions(Path.basename(path), Path.dirname(path)),
+      else: [path]
   end
 end

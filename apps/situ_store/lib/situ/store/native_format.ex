@@ -17,6 +17,7 @@ defmodule Situ.Store.NativeFormat do
   }
 
   defstruct [:ref, :path]
+  @type t :: %__MODULE__{}
 
   @read_bytes 4 * 1024 * 1024
 
@@ -195,7 +196,16 @@ defmodule Situ.Store.NativeFormat do
          do: {:ok, Bitwise.bsl(1, level), bins}
   end
 
-  defp read_signal(state, info, from, to, level) do
+  @doc false
+  @spec read_signal(
+          %__MODULE__{},
+          StreamInfo.t(),
+          Situ.Time.t(),
+          Situ.Time.t(),
+          non_neg_integer()
+        ) ::
+          {:ok, [Situ.Store.Summary.bin()]} | {:error, Error.t()}
+  def read_signal(state, info, from, to, level) do
     refresh_entries(state)
 
     case Native.reader_summary(state.ref, info.id, from, to, level) do

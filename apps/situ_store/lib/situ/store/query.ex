@@ -4,7 +4,15 @@ defmodule Situ.Store.Query do
   alias Situ.{Error, Message, Options}
 
   alias Situ.Recording
-  alias Situ.Store.{SchemaEvolution, NativeErrors, Locator, NativeFormat, StreamInfo}
+
+  alias Situ.Store.{
+    Locator,
+    NativeErrors,
+    NativeFormat,
+    SchemaEvolution,
+    SegmentedRecording,
+    StreamInfo
+  }
 
   @open_options [
     verify: [
@@ -89,7 +97,7 @@ defmodule Situ.Store.Query do
     end
   end
 
-  defp reader_opts(NativeFormat, opts),
+  defp reader_opts(module, opts) when module in [NativeFormat, SegmentedRecording],
     do: Keyword.take(opts, [:verify, :max_unpacked]) ++ opts[:reader_opts]
 
   defp reader_opts(_module, opts), do: opts[:reader_opts]

@@ -17,7 +17,7 @@ defmodule Situ.Store.Rotation do
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `open`: the segments being written, by number. `closed`: the other segments, oldest first. `ended`: for segments
+  # `run`: distinguishes the segments of this run in their catalogs. `open`: the segments being written, by number. `closed`: the other segments, oldest first. `ended`: for segments
   # split by size, the time after their latest message. `jumped`: a segment that does not follow the previous one, and
   # the stream that began it.
   defstruct [
@@ -27,6 +27,7 @@ defmodule Situ.Store.Rotation do
     :cut,
     :keep,
     :owner,
+    :run,
     open: %{},
     closed: [],
     ended: %{},
@@ -61,8 +62,9 @@ defmodule Situ.Store.Rotation do
   def init({name, root, opts, cut, keep, owner}) do
     Process.flag(:trap_exit, true)
     Process.monitor(owner)
-    state = %__MODULE__{name: name, root: root, opts: opts, cut: cut, keep: keep, owner: owner}
-    {:ok, state, {:continue, :find_earlier}}
+    run = "#{Situ.Time.now()}-#{System.pid()}-#{System.unique_integer([:positive])}"
+    state = %__MODULE__{name: name, root: root, opts: opts, cut: cut, keep: keep}
+    {:ok, %{state | owner: owner, run: run}, {:continue, :find_earlier}}
   end
 
   @impl true
@@ -131,7 +133,10 @@ defmodule Situ.Store.Rotation do
     jump? = every != nil and state.open != %{} and not is_map_key(state.open, number - 1)
 
     with {:ok, writer} <- Writer.create(state.name, state.root, state.opts),
-         {:ok, _} <- Writer.append_catalog(writer, %{kind: "piece", every: every}) do
+         {:ok, _} <-
+           Writer.append_catalog(writer, %{kind: "piece", every: every, run: state.run}) do
+      wake_readers(state.open)
+
       piece = %{
         writer: writer,
         path: writer.path,
@@ -149,6 +154,10 @@ defmodule Situ.Store.Rotation do
       {:ok, %{state | open: open, jumped: jumped}}
     end
   end
+
+  # A reader that follows the recording waits for new entries in the segments that it knows.
+  defp wake_readers(open),
+    do: for({_, %{writer: writer}} <- open, do: Writer.append_catalog(writer, %{kind: "piece"}))
 
   defp newest_open(open), do: open |> Map.keys() |> Enum.max()
 

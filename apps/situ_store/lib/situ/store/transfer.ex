@@ -13,6 +13,7 @@ defmodule Situ.Store.Transfer do
     NativeFormat,
     Native,
     Query,
+    SegmentedRecording,
     StreamInfo,
     TypeName,
     Writer
@@ -33,6 +34,19 @@ defmodule Situ.Store.Transfer do
   @spec open_stream(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
           {:ok, t()} | {:error, Error.t()}
   def open_stream(writer, info, sources, opts, report_progress) do
+    stored = Enum.flat_map(sources, &stored_streams/1)
+    open_stored(writer, info, if(stored == [], do: sources, else: stored), opts, report_progress)
+  end
+
+  # A segmented recording is copied segment by segment.
+  defp stored_streams({%{module: SegmentedRecording} = store, info}) do
+    for part <- SegmentedRecording.list_parts(store.state, info),
+        do: {%Recording{path: store.path, module: NativeFormat, state: nil}, part.info}
+  end
+
+  defp stored_streams(source), do: [source]
+
+  defp open_stored(writer, info, sources, opts, report_progress) do
     record = %{
       type: stored_type(info, sources),
       opened: info.opened || Situ.Time.now(),
@@ -112,6 +126,17 @@ defmodule Situ.Store.Transfer do
   @doc "Copies a source's messages from an ordinal on, up to time `to`, and returns the next ordinal."
   @spec transfer_messages(t(), source(), non_neg_integer(), Situ.Time.t() | :unbounded) ::
           {:ok, t(), non_neg_integer()} | {:error, Error.t()}
+  def transfer_messages(transfer, {%{module: SegmentedRecording} = store, info}, ordinal, to) do
+    store.state
+    |> SegmentedRecording.list_parts(info)
+    |> Enum.reduce_while({:ok, transfer, ordinal}, fn part, {:ok, transfer, ordinal} ->
+      case transfer_part(transfer, {store.state, part}, ordinal, to) do
+        {:ok, _, _} = ok -> {:cont, ok}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
   def transfer_messages(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
     store
     |> Query.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
@@ -157,6 +182,22 @@ defmodule Situ.Store.Transfer do
 
       {:error, reason} ->
         handle_failure(reason, transfer, source, ordinal, to)
+    end
+  end
+
+  # A segment that `keep:` deletes during the copy is not copied.
+  defp transfer_part(transfer, {state, part}, ordinal, to) do
+    to = NativeFormat.clamp_time(to)
+    to = if part.until, do: min(to, part.until - 1), else: to
+
+    with true <- ordinal < part.base + part.count,
+         {:ok, store} <- SegmentedRecording.open_part(state, part),
+         first = max(ordinal - part.base, 0),
+         {:ok, transfer, next} <- transfer_messages(transfer, {store, part.info}, first, to) do
+      {:ok, transfer, max(part.base + next, ordinal)}
+    else
+      none when none in [false, :deleted] -> {:ok, transfer, ordinal}
+      error -> error
     end
   end
 

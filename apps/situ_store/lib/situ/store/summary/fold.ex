@@ -37,7 +37,7 @@ defmodule Situ.Store.Summary.Fold do
           integer(),
           integer(),
           non_neg_integer(),
-          non_neg_integer()
+          integer()
         ) ::
           {:ok, [{integer(), pos_integer()}], [{term(), Summary.track()}]}
           | {:error, Situ.Error.t()}
@@ -132,16 +132,17 @@ defmodule Situ.Store.Summary.Fold do
     end
   end
 
-  # Splits a message into the values of its tracks.
-  defp message_parts(%module{} = data) do
+  @doc "Splits the data of a message into the values of its tracks: `{{key, :number | :state}, value}`."
+  @spec message_parts(term()) :: [{{term(), :number | :state}, term()}]
+  def message_parts(%module{} = data) do
     if Situ.Codec.implemented_by?(module),
       do: [],
       else: data |> Map.from_struct() |> field_parts()
   end
 
-  defp message_parts(data) when is_map(data), do: field_parts(data)
+  def message_parts(data) when is_map(data), do: field_parts(data)
 
-  defp message_parts(data) do
+  def message_parts(data) do
     with {kind, value} <- classify_value(data), do: [{{nil, kind}, value}], else: (nil -> [])
   end
 

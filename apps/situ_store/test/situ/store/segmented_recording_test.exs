@@ -1,0 +1,351 @@
+defmodule Situ.Store.SegmentedRecordingTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.{Message, Store}
+  alias Situ.Store.{Rotation, Writer}
+  alias Situ.Store.Rotation.SplitPoint
+  alias Situ.Store.Summary.Fold
+
+  @moduletag :tmp_dir
+
+  # A recorder without a pipeline: the same steps as those of `Situ.Store.Sink`, one message at a time.
+  defp start_run(root, split, keep) do
+    cut = SplitPoint.new(split)
+    opts = [first_extent: 65_536, max_extent: 65_536]
+    {:ok, rotation} = Rotation.start_link({"hall", root, opts}, cut, keep)
+    %{rotation: rotation, cut: cut, held: %{}}
+  end
+
+  defp append(run, name, time, data) do
+    number = SplitPoint.segment_number(run.cut, time)
+    {:ok, real, stream} = Rotation.open_stream(run.rotation, number, name, [])
+    stream = Map.get(run.held, {real, name}, stream)
+    message = %Message{data: data, originating_time: time, creation_time: time, sequence_id: time}
+    {:ok, stream} = Writer.append(stream, [message])
+    :ok = Rotation.report_append(run.rotation, run.cut, real, time)
+    put_in(run.held[{real, name}], stream)
+  end
+
+  defp stop_run(run), do: :ok = Rotation.close_all(run.rotation)
+
+  # The process ends without closing its segments, as after a kill.
+  defp kill_run(run) do
+    Process.unlink(run.rotation)
+    ref = Process.monitor(run.rotation)
+    Process.exit(run.rotation, :kill)
+    assert_receive {:DOWN, ^ref, _, _, _}
+  end
+
+  defp times(store, name),
+    do: store |> Store.messages(name) |> Enum.map(&{&1.originating_time, &1.data})
+
+  defp open(root), do: Store.open!(Path.join(root, "hall"))
+
+  describe "one name" do
+    test "is all segments of all runs", %{tmp_dir: root} do
+      first = Enum.reduce(1..50, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(first)
+      second = Enum.reduce(100..150, start_run(root, 10, nil), &append(&2, "N", &1, &1 * 1.0))
+      second = append(second, "Late", 151, "new")
+      stop_run(second)
+      store = open(root)
+      wanted = for(t <- 1..50, do: {t, t}) ++ for(t <- 100..150, do: {t, t * 1.0})
+      assert times(store, "N") == wanted
+      assert times(store, "Late") == [{151, "new"}]
+
+      assert %{name: "hall", segments: 12, closed?: true, live?: false, damage: []} =
+               Store.info(store)
+
+      assert [%{name: "N", count: 101, first: 1, last: 150}, %{name: "Late", count: 1}] =
+               Store.streams(store)
+
+      assert Store.interval(store) == {1, 151}
+      assert Store.gaps(store, "N", 20) == [{50, 100}]
+      assert {:ok, %{data: 105.0}} = Store.at(store, "N", 55)
+      assert {:ok, %{data: 150.0}} = Store.at(store, "N", -1)
+      assert {:ok, nil} = Store.at(store, "N", 101)
+      assert {:ok, 6} = Store.count(store, "N", 48, 102)
+      assert {:ok, %{data: 50}} = Store.latest_at(store, "N", 99)
+      assert {:ok, %{data: 100.0}} = Store.first_at(store, "N", 51)
+      assert {:error, %{code: :no_stream}} = Store.stream_info(store, "None")
+      # A segment opened by its own name is a store.
+      assert [{1, 1} | _] = times(Store.open!(Path.join(root, "hall.0000")), "N")
+      assert Store.count(Store.open!(Path.join(root, "hall.0000")), "N") == 9
+    end
+
+    test "has the same summaries and columns as one store", %{tmp_dir: root} do
+      run = start_run(root, 100, nil)
+
+      run =
+        for i <- 1..600, reduce: run do
+          run ->
+            run
+            |> append("N", i, :math.sin(i) * 10)
+            |> append("Open", i, rem(div(i, 70), 2) == 0)
+            |> append("Map", i, %{
+              "speed" => i,
+              "door" => if(rem(i, 130) < 20, do: "open", else: "shut")
+            })
+        end
+
+      stop_run(run)
+      store = open(root)
+      {:ok, whole} = Store.copy(Path.join(root, "hall"), Path.join(root, "whole"))
+      whole = Store.open!(whole)
+
+      for {from, to, pixels, changes} <- [
+            {1, 600, 10, 100},
+            {150, 420, 7, 100},
+            {205, 215, 3, 100},
+            {1, 600, 4, 1},
+            {90, 600, 4, 2}
+          ],
+          name <- ["N", "Open", "Map"] do
+        opts = [changes: changes]
+        assert {:ok, one} = Store.Summary.read(store, name, from, to, pixels, opts)
+        assert {:ok, other} = Store.Summary.read(whole, name, from, to, pixels, opts)
+        assert sort_tracks(one) == sort_tracks(other), inspect({name, from, to, pixels, changes})
+
+        assert Store.summary(store, name, from, to, pixels) ==
+                 Store.summary(whole, name, from, to, pixels)
+      end
+
+      assert Enum.flat_map(Store.columns(store, "N"), &Situ.Columns.to_pairs/1) ==
+               times(whole, "N")
+
+      assert times(store, "Map") == times(whole, "Map")
+    end
+
+    defp sort_tracks(summary), do: %{summary | tracks: Enum.sort(summary.tracks)}
+
+    test "is the newest version if that is not a segment", %{tmp_dir: root} do
+      run = Enum.reduce(1..30, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      {:ok, writer} = Writer.create("hall", root)
+      {:ok, stream} = Writer.stream(writer, "Other")
+
+      {:ok, _} =
+        Writer.append(stream, [
+          %Message{data: 1, originating_time: 1, creation_time: 1, sequence_id: 0}
+        ])
+
+      :ok = Writer.close(writer)
+      assert [%{name: "Other"}] = Store.streams(open(root))
+      # Recording in segments continues the segmented recording.
+      run = Enum.reduce(50..60, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      assert [%{name: "N", count: 41}] = Store.streams(open(root))
+    end
+
+    test "shows streams of the same name and another type separately", %{tmp_dir: root} do
+      run = start_run(root, 10, nil)
+      {:ok, _, stream} = Rotation.open_stream(run.rotation, 0, "N", type: :integer)
+
+      {:ok, _} =
+        Writer.append(stream, [
+          %Message{data: 1, originating_time: 1, creation_time: 1, sequence_id: 0}
+        ])
+
+      stop_run(run)
+      run = start_run(root, 10, nil)
+      {:ok, _, stream} = Rotation.open_stream(run.rotation, 2, "N", type: :float)
+
+      {:ok, _} =
+        Writer.append(stream, [
+          %Message{data: 2.5, originating_time: 21, creation_time: 21, sequence_id: 0}
+        ])
+
+      stop_run(run)
+      store = open(root)
+      assert times(store, "N") == [{21, 2.5}]
+      assert times(store, "N (:integer)") == [{1, 1}]
+    end
+
+    test "shows the later run where runs overlap, and says so", %{tmp_dir: root} do
+      run = Enum.reduce(1..50, start_run(root, 10, nil), &append(&2, "N", &1, {1, &1}))
+      stop_run(run)
+      run = Enum.reduce(26..40, start_run(root, 10, nil), &append(&2, "N", &1, {2, &1}))
+      stop_run(run)
+      store = open(root)
+      wanted = for(t <- 1..25, do: {t, {1, t}}) ++ for(t <- 26..40, do: {t, {2, t}})
+      assert times(store, "N") == wanted
+      assert %{notes: ["25 messages of earlier runs" <> _]} = Store.info(store)
+      assert Store.count(store, "N") == 40
+      assert {:ok, 10} = Store.count(store, "N", 21, 30)
+      assert {:ok, %{data: {1, 25}}} = Store.latest_at(store, "N", 25)
+      {:ok, copy} = Store.copy(Path.join(root, "hall"), Path.join(root, "copy"))
+      assert times(Store.open!(copy), "N") == wanted
+    end
+
+    test "reports a segment that cannot be read, and reads the others", %{tmp_dir: root} do
+      run = Enum.reduce(1..50, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      File.write!(Path.join(root, "hall.0002/index.situ"), "nonsense")
+      store = open(root)
+      assert %{damage: ["hall.0002 cannot be read" <> _]} = Store.info(store)
+      assert length(times(store, "N")) == 40
+      File.write!(Path.join(root, "hall.0005/index.situ"), "nonsense")
+      assert length(times(open(root), "N")) == 39
+    end
+  end
+
+  describe "a recording that is being written" do
+    test "is followed into new segments", %{tmp_dir: root} do
+      run = append(start_run(root, 10, nil), "N", 1, 1)
+      store = open(root)
+      assert %{live?: true, closed?: false} = Store.info(store)
+      :ok = Store.notify(store, 0, 7)
+      assert_receive {:situ_store, 7, {:published, n}}
+      :ok = Store.notify(store, n, 7)
+      run = append(run, "N", 35, 35)
+      assert_receive {:situ_store, 7, {:published, n}}
+      assert times(store, "N") == [{1, 1}, {35, 35}]
+      run = Enum.reduce(36..80, run, &append(&2, "N", &1, &1))
+      assert length(times(store, "N")) == 47
+      stop_run(run)
+      assert ended?(store, n)
+      assert %{live?: false, closed?: true} = Store.info(store)
+    end
+
+    defp ended?(store, n) do
+      :ok = Store.notify(store, n, 8)
+
+      receive do
+        {:situ_store, 8, {:published, n}} -> ended?(store, n)
+        {:situ_store, 8, {:ended, _}} -> true
+      after
+        5_000 -> false
+      end
+    end
+
+    test "keeps its ordinals when the oldest segments are deleted", %{tmp_dir: root} do
+      run = Enum.reduce(1..25, start_run(root, 10, {:span, 20}), &append(&2, "N", &1, &1))
+      store = open(root)
+      {:ok, info} = Store.stream_info(store, "N")
+      {:ok, first, next} = Store.Query.read_batch(store, info, 0, :unbounded, 5, exact: true)
+      assert Enum.map(first, & &1.data) == [1, 2, 3, 4, 5]
+      run = Enum.reduce(26..100, run, &append(&2, "N", &1, &1))
+
+      log =
+        ExUnit.CaptureLog.capture_log(fn ->
+          # Deleted segments are noticed when the recording is asked for its current state.
+          assert Store.stream_info(store, "N")
+          {:ok, later, _} = Store.Query.read_batch(store, info, next, :unbounded, 5, exact: true)
+          assert [%{data: data} | _] = later
+          assert data > 50
+        end)
+
+      assert log =~ "messages of \"N\" were deleted before they were read"
+      assert log =~ "were recorded and deleted since the recording was last read"
+      assert {:ok, ordinal} = Store.ordinal(store, "N", 100)
+      run = Enum.reduce(101..115, run, &append(&2, "N", &1, &1))
+      assert {:ok, ^ordinal} = Store.ordinal(store, "N", 100)
+      assert {:ok, %{data: 115}} = Store.at(store, "N", -1)
+      # A recording that is opened now begins with the messages that exist now.
+      [{first, _} | _] = times(open(root), "N")
+      assert {:ok, %{data: ^first}} = Store.at(open(root), "N", 0)
+      assert {:ok, %{data: second}} = Store.at(open(root), "N", 1)
+      assert second == first + 1
+      stop_run(run)
+    end
+  end
+
+  # One step: a message of a stream after a pause, a restart or a kill of the recorder.
+  defp step do
+    :proper_types.frequency([
+      {12, {:append, :proper_types.oneof(["A", "B"]), :proper_types.oneof([1, 1, 2, 3, 8, 25])}},
+      {1, :restart},
+      {1, :kill},
+      {2, :look}
+    ])
+  end
+
+  defp split, do: :proper_types.oneof([10, 40, {:bytes, 3_000}])
+  defp keep, do: :proper_types.oneof([nil, {:span, 30}, {:span, 200}, {:bytes, 200_000}])
+
+  property "reads the acknowledged messages that are still kept",
+    context: %{tmp_dir: tmp},
+    numtests: 60 do
+    forall {split, keep, steps} <- {split(), keep(), :proper_types.resize(120, list(step()))} do
+      root = Path.join(tmp, "#{System.unique_integer([:positive])}")
+      run = start_run(root, split, keep)
+
+      world = %{
+        run: run,
+        root: root,
+        model: [],
+        times: %{"A" => 0, "B" => 0},
+        reader: nil,
+        options: {split, keep}
+      }
+
+      world = Enum.reduce(steps, world, &apply_step/2)
+      check(world)
+      stop_run(world.run)
+      check(world)
+      File.rm_rf!(root)
+    end
+  end
+
+  defp apply_step({:append, name, pause}, world) do
+    time = world.times[name] + pause
+    run = append(world.run, name, time, {name, time, :binary.copy("x", 40)})
+    %{world | run: run, times: %{world.times | name => time}, model: [{name, time} | world.model]}
+  end
+
+  defp apply_step(:look, world) do
+    check(world)
+    world
+  end
+
+  defp apply_step(end_run, world) do
+    if end_run == :kill, do: kill_run(world.run), else: stop_run(world.run)
+    # The locks of its writers end when they are garbage collected, as at the end of a program.
+    world = %{world | run: nil}
+    :erlang.garbage_collect()
+    restart(world)
+  end
+
+  defp restart(%{options: {split, keep}} = world) do
+    # All streams of the next run begin after all messages.
+    latest = world.times |> Map.values() |> Enum.max()
+    times = Map.new(world.times, fn {name, _} -> {name, latest} end)
+    %{world | run: start_run(world.root, split, keep), times: times}
+  end
+
+  # The messages of the segments that exist, by reading each as a store, in the order in which they were acknowledged.
+  defp check(%{model: []}), do: true
+
+  defp check(world) do
+    kept =
+      for path <- Store.Folder.list_versions("hall", world.root),
+          store = Store.open!(path),
+          %{name: name} <- Store.streams(store),
+          message <- Store.messages(store, name),
+          into: MapSet.new(),
+          do: {name, message.originating_time}
+
+    store = open(world.root)
+
+    for name <- ["A", "B"] do
+      wanted = for {^name, time} <- Enum.reverse(world.model), {name, time} in kept, do: time
+
+      if wanted == [] do
+        refute Store.has_stream?(store, name) and Store.count(store, name) > 0
+      else
+        assert store |> Store.messages(name) |> Enum.map(& &1.originating_time) == wanted
+        assert Store.count(store, name) == length(wanted)
+        middle = Enum.at(wanted, div(length(wanted), 2))
+        assert {:ok, ordinal} = Store.ordinal(store, name, middle)
+        assert ordinal == Enum.find_index(wanted, &(&1 == middle))
+        assert {:ok, %{originating_time: ^middle}} = Store.latest_at(store, name, middle)
+        {:ok, info} = Store.stream_info(store, name)
+        {first, last} = {hd(wanted), List.last(wanted)}
+        assert {info.first, info.last} == {first, last}
+        {:ok, counts, _} = Store.Summary.read_tracks(store, info, first, last, 3, 10)
+        {:ok, folded, _} = Fold.fold_tracks(store, info, first, last, 3, 10)
+        assert counts == folded
+      end
+    end
+  end
+end
