@@ -3,7 +3,7 @@ defmodule Situ.Store do
   Recordings store many streams on disk while a pipeline is running. They can be read by time, by index or live, and
   replayed into a pipeline.
 
-      {:ok, store} = Situ.Store.open("recordings/lobby")        # the newest lobby.NNNN
+      {:ok, store} = Situ.Store.open("recordings/lobby")        # the newest lobby.NNNN, or all of its segments
       Situ.Store.streams(store)                                 # names, types, counts, times, sizes, latency
       {:ok, message} = Situ.Store.latest_at(store, "Lobby.Speaking", time)
       store |> Situ.Store.messages("Lobby.Speaking", from: t0, to: t1) |> Enum.each(&IO.inspect/1)
@@ -44,6 +44,8 @@ defmodule Situ.Store do
     Maintenance,
     PartReader,
     Query,
+    SegmentedRecording,
+    Segments,
     Summary
   }
 
@@ -63,6 +65,10 @@ defmodule Situ.Store do
 
   @doc """
   Opens a store's folder, the newest version of `root/name`, or an external file.
+
+  If the newest version is a segment of a recording (`split:` of `create/4`), `root/name` opens all of its segments as
+  one recording, over restarts of the recorder. Where a later run of the recorder recorded the same times again, its
+  messages replace the earlier ones. `segments/1` lists the segments.
 
   #{Options.docs(Query.open_options())}
 
@@ -102,7 +108,7 @@ defmodule Situ.Store do
       Situ.Store.create(p, "hall", "recordings", split: Situ.Time.min(10), keep: {:span, Situ.Time.h(2)})
 
   `split: {:bytes, n}` splits by size. Every segment is a complete store (`hall.0000`, `hall.0001` ...), and
-  `Situ.Store.concat/3` joins several into one.
+  `Situ.Store.open("recordings/hall")` reads all of them as one recording.
 
   #{Options.docs(Exporter.create_options())}
   """
@@ -292,17 +298,45 @@ defmodule Situ.Store do
   def newest(name, root), do: Folder.newest_version(name, Path.expand(root))
 
   @list_options [
-    recursive: [type: :boolean, default: false, doc: "Search subfolders, too."]
+    recursive: [type: :boolean, default: false, doc: "Search subfolders, too."],
+    segments: [
+      type: :boolean,
+      default: false,
+      doc: "List the segments of a segmented recording, instead of the recording."
+    ]
   ]
 
   @doc """
-  Lists all stores in a folder.
+  Lists all stores in a folder. A segmented recording is listed as `ROOT/NAME`.
 
   #{Options.docs(@list_options)}
   """
   @spec list(Path.t(), keyword()) :: [Path.t()]
-  def list(root, opts \\ []),
-    do: Folder.list_stores(Path.expand(root), Options.validate!(opts, @list_options)[:recursive])
+  def list(root, opts \\ []) do
+    opts = Options.validate!(opts, @list_options)
+    paths = Folder.list_stores(Path.expand(root), opts[:recursive])
+    if opts[:segments], do: paths, else: Segments.combine_segments(paths)
+  end
+
+  @typedoc """
+  A segment of a recording: its folder, its number, the wall clock at its creation, the span of its originating times
+  (`nil` without messages), the number of its messages, and whether it was closed or is being written.
+  """
+  @type segment :: %{
+          path: Path.t(),
+          number: non_neg_integer(),
+          created: Situ.Time.t(),
+          first: Situ.Time.t() | nil,
+          last: Situ.Time.t() | nil,
+          count: non_neg_integer(),
+          closed?: boolean(),
+          live?: boolean()
+        }
+
+  @doc "Returns the segments of a segmented recording, oldest first, or an empty list for any other recording."
+  @spec segments(t()) :: [segment()]
+  def segments(%{module: SegmentedRecording} = store), do: SegmentedRecording.list_segments(store)
+  def segments(_store), do: []
 
   @doc """
   Reads the complete store and verifies all checksums: `{:ok, %{chunks, damage}}`.
@@ -334,11 +368,18 @@ defmodule Situ.Store do
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   defdelegate repair(path, opts \\ []), to: Maintenance
 
-  @doc "Deletes a store's files, and its folder if it contains nothing else. Fails while the store is being written."
+  @doc """
+  Deletes a store's files, and its folder if it contains nothing else. Of a segmented recording, deletes all segments,
+  the oldest first. Fails while the store is being written.
+  """
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   defdelegate delete(path), to: Maintenance
 
-  @doc "Renames a store (its folder, keeping the version number): `{:ok, new_path}`."
+  @doc """
+  Renames a store (its folder, which becomes the next version of the new name): `{:ok, new_path}`. All segments of a
+  segmented recording get the new name, which must be free. If the program is killed in between, both names return the
+  error `:rename_interrupted`, and `repair/2` or another call completes it.
+  """
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   defdelegate rename(path, name), to: Maintenance
 
@@ -361,7 +402,7 @@ defmodule Situ.Store do
   The new store is complete and on disk before the two stores exchange their names in one step. The old store is deleted
   last. If the program is killed during compaction, the recording keeps its name. On a file system that cannot exchange
   names, the old store may remain as `NAME.before-compaction`, and `repair/2` restores it. Damage is an error unless
-  `skip_damage: true` is given.
+  `skip_damage: true` is given. The segments of a segmented recording are rewritten one by one and remain segments.
 
   #{Options.docs(Copying.compact_options())}
   """

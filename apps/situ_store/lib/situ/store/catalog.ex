@@ -13,6 +13,13 @@ defmodule Situ.Store.Catalog do
   @spec encode_record(map()) :: binary()
   def encode_record(record), do: Situ.JSON.encode(record)
 
+  @doc "Returns the record that marks a store as a segment with these facts, or `nil`."
+  @spec segment_record(map() | nil) :: map() | nil
+  def segment_record(nil), do: nil
+
+  def segment_record(%{every: every, full?: full?, run: run}),
+    do: %{kind: "piece", every: every, full: full?, run: run}
+
   @spec parse_records([binary()]) :: %__MODULE__{}
   def parse_records(records), do: Enum.reduce(records, %__MODULE__{}, &add_record/2)
 

@@ -9,7 +9,19 @@ defmodule Situ.Store.Copying do
   alias Situ.Error
   alias Situ.Store.Copying.Passes
   alias Situ.Recording.Formats
-  alias Situ.Store.{Draft, NativeErrors, Folder, Query, Segments, StreamInfo}
+
+  alias Situ.Store.{
+    Catalog,
+    Draft,
+    NativeErrors,
+    NativeFormat,
+    Folder,
+    Query,
+    SegmentedRecording,
+    Segments,
+    StreamInfo,
+    Writer
+  }
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -88,27 +100,59 @@ defmodule Situ.Store.Copying do
     opts = Keyword.put_new(opts, :durability, {:interval, 10_000})
 
     with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
-         {:ok, folder} <- fetch_own_folder(path),
-         {:ok, store} <- Query.open(folder) do
+         {:ok, store} <- open_own_store(path) do
+      if store.module == SegmentedRecording,
+        do: compact_segments(store.path, Segments.list_folders(store.path), opts),
+        else: compact_folder(store.path, opts)
+    end
+  end
+
+  # The progress of a segment continues that of the segments before it.
+  defp compact_segments(path, folders, opts) do
+    with {:ok, stores} <- Error.map_ok(folders, &open_own_store/1) do
+      totals =
+        for store <- stores, do: store |> Query.streams() |> Enum.map(& &1.count) |> Enum.sum()
+
+      total = Enum.sum(totals)
+      progress = opts[:progress] || fn _, _ -> :ok end
+
+      folders
+      |> Enum.zip(Enum.scan([0 | totals], &+/2))
+      |> Error.map_ok(fn {folder, before} ->
+        report = fn done, _ -> progress.(before + done, total) end
+        compact_folder(folder, Keyword.put(opts, :progress, report))
+      end)
+      |> case do
+        {:ok, _} -> {:ok, path}
+        error -> error
+      end
+    end
+  end
+
+  # A segment remains a segment.
+  defp compact_folder(folder, opts) do
+    with {:ok, store} <- Query.open(folder) do
       parts = for source <- list_sources(store), do: {elem(source, 1), [source]}
+      mark = Catalog.segment_record(Query.info(store).piece)
 
       build_store({Folder.store_name(folder), Path.dirname(folder)}, parts, [
-        {:replace, folder} | opts
+        {:replace, folder},
+        {:record, mark} | opts
       ])
     end
   end
 
-  defp fetch_own_folder(path) do
+  defp open_own_store(path) do
     with {:ok, store} <- Query.open(path) do
       cond do
-        not Folder.store_folder?(store.path) ->
+        store.module not in [NativeFormat, SegmentedRecording] ->
           {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
         Query.live?(store) ->
           {:error, NativeErrors.to_error(:locked, store.path)}
 
         true ->
-          {:ok, store.path}
+          {:ok, store}
       end
     end
   end
@@ -288,8 +332,17 @@ defmodule Situ.Store.Copying do
     |> resolve_target()
     |> Draft.build_store(
       put_store_defaults(opts, infos),
-      &Passes.write_streams(&1, parts, opts, report)
+      fn writer ->
+        with :ok <- write_record(writer, opts[:record]),
+             do: Passes.write_streams(writer, parts, opts, report)
+      end
     )
+  end
+
+  defp write_record(_writer, nil), do: :ok
+
+  defp write_record(writer, record) do
+    with {:ok, _} <- Writer.append_catalog(writer, record), do: :ok
   end
 
   @doc false
@@ -328,8 +381,6 @@ defmodule Situ.Store.Copying do
   end
 
   defp list_stores(path) do
-    if path != nil and Segments.segmented?(path),
-      do: Folder.list_versions(Path.basename(path), Path.dirname(path)),
-      else: [path]
+    if path != nil and Segments.segmented?(path), do: Segments.list_folders(path), else: [path]
   end
 end

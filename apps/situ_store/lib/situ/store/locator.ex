@@ -3,7 +3,16 @@ defmodule Situ.Store.Locator do
   # Finds the files of a recording and the reader for their format.
   alias Situ.Error
   alias Situ.Recording.Formats
-  alias Situ.Store.{Folder, NativeErrors, NativeFormat, Replacement, SegmentedRecording, Segments}
+
+  alias Situ.Store.{
+    Folder,
+    NativeErrors,
+    NativeFormat,
+    Replacement,
+    SegmentedRecording,
+    SegmentRenaming,
+    Segments
+  }
 
   @doc "Returns the full path of a recording and its reader; `reader` overrides the reader for the format."
   @spec find_recording(Path.t(), module() | nil) ::
@@ -19,11 +28,23 @@ defmodule Situ.Store.Locator do
     folder = Folder.resolve_store(path)
 
     cond do
-      reader == nil and Segments.segmented?(path) -> {:ok, path, SegmentedRecording}
-      folder && Folder.store_folder?(folder) -> {:ok, folder, reader || NativeFormat}
-      reader != nil -> {:ok, path, reader}
-      File.regular?(path) -> find_reader(path)
-      true -> find_folder(path, folder)
+      plan = SegmentRenaming.find_interrupted(path) ->
+        {:error, SegmentRenaming.interrupted_error(plan)}
+
+      reader == nil and Segments.segmented?(path) ->
+        {:ok, path, SegmentedRecording}
+
+      folder && Folder.store_folder?(folder) ->
+        {:ok, folder, reader || NativeFormat}
+
+      reader != nil ->
+        {:ok, path, reader}
+
+      File.regular?(path) ->
+        find_reader(path)
+
+      true ->
+        find_folder(path, folder)
     end
   end
 

@@ -3,7 +3,19 @@ defmodule Situ.Store.Maintenance do
   # Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
   alias Situ.Error
   alias Situ.Recording
-  alias Situ.Store.{NativeErrors, Folder, NativeFormat, Native, Query, Replacement}
+
+  alias Situ.Store.{
+    AtomicFile,
+    Folder,
+    Native,
+    NativeErrors,
+    NativeFormat,
+    Query,
+    Replacement,
+    SegmentedRecording,
+    SegmentRenaming,
+    Segments
+  }
 
   @progress [type: {:fun, 2}, doc: "Called repeatedly as `fun.(done, total)`."]
   @verify_options [progress: @progress]
@@ -23,27 +35,117 @@ defmodule Situ.Store.Maintenance do
   def verify(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @verify_options),
          {:ok, store} <- Query.open(path),
-         :ok <- check_own_format(store),
-         {:ok, found, total} <- NativeFormat.verify_chunks(store.state, progress_fun(opts)),
+         do: verify_store(store, progress_fun(opts))
+  end
+
+  defp verify_store(%Recording{module: NativeFormat} = store, progress) do
+    with {:ok, found, total} <- NativeFormat.verify_chunks(store.state, progress),
          do: {:ok, %{chunks: total, damage: describe_damage(Enum.uniq(found))}}
   end
+
+  # Versions that cannot be opened may be segments, so they count as damage.
+  defp verify_store(%Recording{module: SegmentedRecording, path: path}, progress) do
+    path
+    |> Segments.list_possible_folders()
+    |> Enum.map(&verify_segment(&1, progress))
+    |> merge_reports(%{chunks: 0, damage: []})
+  end
+
+  defp verify_store(store, _progress),
+    do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
+
+  defp verify_segment(folder, progress) do
+    with {:ok, store} <- Query.open(folder), {:ok, report} <- verify_store(store, progress) do
+      {:ok, prefix_damage(report, folder)}
+    else
+      {:error, error} ->
+        if empty_folder?(folder),
+          do: {:ok, %{}},
+          else: {:ok, %{damage: [%{file: Path.basename(folder), offset: 0, why: error.what}]}}
+    end
+  end
+
+  defp prefix_damage(%{damage: damage} = report, folder) do
+    name = Path.basename(folder)
+    %{report | damage: for(d <- damage, do: %{d | file: Path.join(name, d.file)})}
+  end
+
+  # A recorder that was killed may leave an empty folder.
+  defp empty_folder?(folder), do: File.ls(folder) in [{:ok, []}, {:ok, ["lock"]}]
+
+  # Adds up the reports on the segments of a recording, or returns the first error.
+  defp merge_reports(reports, start) do
+    Enum.reduce_while(reports, {:ok, start}, fn
+      {:ok, report}, {:ok, sum} -> {:cont, {:ok, Map.merge(sum, report, &merge_values/3)}}
+      error, _sum -> {:halt, error}
+    end)
+  end
+
+  defp merge_values(_key, one, other) when is_integer(one), do: one + other
+  defp merge_values(_key, one, other) when is_list(one), do: one ++ other
+  defp merge_values(_key, one, other), do: one or other
 
   defp progress_fun(opts), do: opts[:progress] || fn _, _ -> :ok end
 
   defp describe_damage(found),
     do: for({file, offset, why} <- found, do: %{file: file, offset: offset, why: why})
 
-  defp check_own_format(%Recording{module: NativeFormat}), do: :ok
-
-  defp check_own_format(store),
-    do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
+  @no_repairs %{
+    kept: 0,
+    dropped: 0,
+    recovered: 0,
+    unconfirmed: 0,
+    rebuilt?: false,
+    damage: []
+  }
 
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   def repair(path, opts \\ []) do
-    path = Path.expand(path)
+    with {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
+         {:ok, path} <- complete_renaming(Path.expand(path), opts[:dry_run]),
+         :ok <- restore_segments(path, opts[:dry_run]) do
+      if Segments.segmented?(path),
+        do: repair_segments(path, opts),
+        else: repair_store(path, opts)
+    end
+  end
 
+  defp complete_renaming(path, dry?) do
+    case SegmentRenaming.find_interrupted(path) do
+      nil -> {:ok, path}
+      plan when dry? -> {:error, SegmentRenaming.interrupted_error(plan)}
+      plan -> SegmentRenaming.complete(plan)
+    end
+  end
+
+  # A segment whose compaction was interrupted has lost its name.
+  defp restore_segments(path, dry?) do
+    lost = Replacement.list_interrupted(path)
+
+    cond do
+      lost == [] or Folder.store_folder?(path) or not Segments.segmented?(path) -> :ok
+      dry? -> {:error, NativeErrors.to_error(:compaction_interrupted, hd(lost))}
+      true -> Enum.find_value(lost, :ok, &find_error(Replacement.restore_name(&1)))
+    end
+  end
+
+  defp find_error(:ok), do: nil
+  defp find_error(error), do: error
+
+  defp repair_segments(path, opts) do
+    path
+    |> Segments.list_possible_folders()
+    |> Enum.reject(&empty_folder?/1)
+    |> Stream.map(&repair_segment(&1, opts))
+    |> merge_reports(@no_repairs)
+  end
+
+  defp repair_segment(folder, opts) do
+    with {:ok, report} <- repair_store(folder, opts), do: {:ok, prefix_damage(report, folder)}
+  end
+
+  defp repair_store(path, opts) do
     with {:ok, folder} <- find_to_repair(path, opts[:dry_run]),
-         {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
          {:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}} <-
            folder
            |> run_repair(opts[:dry_run], progress_fun(opts))
@@ -101,16 +203,69 @@ defmodule Situ.Store.Maintenance do
 
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   def delete(path) do
-    with {:ok, folder} <- resolve_folder(path),
-         :ok <- check_idle(folder),
-         do: Folder.remove_store(folder)
+    path = Path.expand(path)
+
+    with :ok <- check_renaming(path),
+         {:ok, folders} <- resolve_folders(path),
+         do: Enum.find_value(folders, :ok, &find_error(delete_folder(&1)))
+  end
+
+  # The store disappears in one step. If the program is killed after that, the next one that creates a store of this
+  # name deletes the files.
+  defp delete_folder(folder) do
+    hidden =
+      "#{folder}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished_suffix()}"
+
+    if Folder.version_number(folder) != nil and AtomicFile.rename_synced(folder, hidden) == :ok do
+      with :ok <- Folder.remove_store(hidden), do: keep_other_files(hidden, folder)
+    else
+      Folder.remove_store(folder)
+    end
+  end
+
+  # The folder may contain a user's own files.
+  defp keep_other_files(hidden, folder) do
+    _ = if File.dir?(hidden), do: File.rename(hidden, folder)
+    :ok
   end
 
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename(path, name) do
-    with {:ok, folder} <- resolve_folder(path),
-         :ok <- check_idle(folder),
-         do: Folder.place_version(folder, name, Path.dirname(folder))
+    path = Path.expand(path)
+
+    case SegmentRenaming.find_interrupted(path) do
+      %{to: ^name} = plan ->
+        SegmentRenaming.complete(plan)
+
+      nil ->
+        with {:ok, folders} <- resolve_folders(path), do: rename_folders(folders, path, name)
+
+      plan ->
+        {:error, SegmentRenaming.interrupted_error(plan)}
+    end
+  end
+
+  defp rename_folders(folders, path, name) do
+    if Segments.segmented?(path),
+      do: SegmentRenaming.rename_segments(path, name),
+      else: Folder.place_version(hd(folders), name, Path.dirname(hd(folders)))
+  end
+
+  defp check_renaming(path) do
+    case SegmentRenaming.find_interrupted(path) do
+      nil -> :ok
+      plan -> {:error, SegmentRenaming.interrupted_error(plan)}
+    end
+  end
+
+  # Returns the folders of a recording, none of which is being written.
+  defp resolve_folders(path) do
+    if Segments.segmented?(path) do
+      folders = Segments.list_folders(path)
+      with nil <- Enum.find_value(folders, &find_error(check_idle(&1))), do: {:ok, folders}
+    else
+      with {:ok, folder} <- resolve_folder(path), :ok <- check_idle(folder), do: {:ok, [folder]}
+    end
   end
 
   defp resolve_folder(path) do

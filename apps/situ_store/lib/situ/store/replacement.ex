@@ -62,9 +62,13 @@ defmodule Situ.Store.Replacement do
 
   @doc "Returns the store whose replacement was interrupted, by its original name: `path` or its newest version."
   @spec find_interrupted(Path.t()) :: Path.t() | nil
-  def find_interrupted(path) do
+  def find_interrupted(path), do: path |> list_interrupted() |> List.first()
+
+  @doc "Returns all versions of `path` whose replacement was interrupted, the newest first."
+  @spec list_interrupted(Path.t()) :: [Path.t()]
+  def list_interrupted(path) do
     [path | interrupted_versions(Path.dirname(path), Path.basename(path))]
-    |> Enum.find(&(File.dir?(&1 <> @before) and not File.exists?(&1)))
+    |> Enum.filter(&(File.dir?(&1 <> @before) and not File.exists?(&1)))
   end
 
   defp interrupted_versions(root, name) do

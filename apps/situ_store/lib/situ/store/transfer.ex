@@ -190,7 +190,7 @@ defmodule Situ.Store.Transfer do
     to = NativeFormat.clamp_time(to)
     to = if part.until, do: min(to, part.until - 1), else: to
 
-    with true <- ordinal < part.base + part.count,
+    with true <- ordinal < part.base + part.count and part.info.first <= to,
          {:ok, store} <- SegmentedRecording.open_part(state, part),
          first = max(ordinal - part.base, 0),
          {:ok, transfer, next} <- transfer_messages(transfer, {store, part.info}, first, to) do

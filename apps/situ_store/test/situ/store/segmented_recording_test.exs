@@ -2,11 +2,12 @@ defmodule Situ.Store.SegmentedRecordingTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{Message, Store}
-  alias Situ.Store.{Rotation, Writer}
+  alias Situ.Store.{Rotation, SegmentRenaming, Writer}
   alias Situ.Store.Rotation.SplitPoint
   alias Situ.Store.Summary.Fold
 
   @moduletag :tmp_dir
+  @moduletag :capture_log
 
   # A recorder without a pipeline: the same steps as those of `Situ.Store.Sink`, one message at a time.
   defp start_run(root, split, keep) do
@@ -247,6 +248,131 @@ defmodule Situ.Store.SegmentedRecordingTest do
       assert {:ok, %{data: second}} = Store.at(open(root), "N", 1)
       assert second == first + 1
       stop_run(run)
+    end
+  end
+
+  describe "a verb acts on all segments:" do
+    setup %{tmp_dir: root} do
+      run = Enum.reduce(1..50, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      %{path: Path.join(root, "hall"), messages: for(t <- 1..50, do: {t, t})}
+    end
+
+    test "copy and crop create one store", %{tmp_dir: root, path: path} = ctx do
+      {:ok, copy} = Store.copy(path, Path.join(root, "copy"))
+      assert Path.basename(copy) == "copy.0000"
+      assert times(Store.open!(copy), "N") == ctx.messages
+      assert {:ok, %{closed: closed}} = Store.stream_info(Store.open!(copy), "N")
+      assert closed == nil
+      {:ok, crop} = Store.crop(path, Path.join(root, "crop"), from: 8, to: 31)
+      assert times(Store.open!(crop), "N") == Enum.slice(ctx.messages, 7..30)
+
+      {:ok, edited} =
+        Store.edit(path, Path.join(root, "edited"), %{
+          "N" => [{:upsert, 10, 0}, {:delete, 29}, {:upsert, 60, 60}]
+        })
+
+      wanted = List.keyreplace(List.keydelete(ctx.messages, 29, 0), 10, 0, {10, 0}) ++ [{60, 60}]
+      assert times(Store.open!(edited), "N") == wanted
+      {:ok, joined} = Store.concat([path, edited] |> Enum.take(1), Path.join(root, "joined"))
+      assert times(Store.open!(joined), "N") == ctx.messages
+    end
+
+    test "verify and repair", %{path: path} = ctx do
+      assert {:ok, %{damage: [], chunks: chunks}} = Store.verify(path)
+      assert chunks > 50
+
+      assert {:ok, %{kept: ^chunks, damage: [], rebuilt?: false}} =
+               Store.repair(path, dry_run: true)
+
+      File.rm!(Path.join(path <> ".0002", "index.situ"))
+      assert {:ok, %{damage: [%{file: "hall.0002"}]}} = Store.verify(path)
+      assert {:ok, %{rebuilt?: true}} = Store.repair(path)
+      assert times(Store.open!(path), "N") == ctx.messages
+    end
+
+    test "compact", %{path: path, tmp_dir: root} = ctx do
+      store = Store.open!(path)
+      assert {:ok, ^path} = Store.compact(path, compression: :zstd)
+      assert times(Store.open!(path), "N") == ctx.messages
+      assert length(Store.segments(Store.open!(path))) == 6
+      # A recording that was open before is still readable.
+      assert times(store, "N") == ctx.messages
+      # The recorder continues it.
+      run = append(start_run(root, 10, nil), "N", 70, 70)
+      assert {:error, %{code: :store_in_use}} = Store.compact(path)
+      stop_run(run)
+      assert times(Store.open!(path), "N") == ctx.messages ++ [{70, 70}]
+    end
+
+    test "delete", %{path: path, tmp_dir: root} do
+      run = append(start_run(root, 10, nil), "N", 70, 70)
+      assert {:error, %{code: :store_in_use}} = Store.delete(path)
+      assert length(Store.list(root, segments: true)) == 7
+      stop_run(run)
+      File.write!(Path.join(path <> ".0001", "notes.txt"), "mine")
+      assert :ok = Store.delete(path)
+      assert File.ls!(root) == ["hall.0001"]
+      assert File.ls!(path <> ".0001") == ["notes.txt"]
+      File.rm_rf!(path <> ".0001")
+      assert {:error, %{code: :no_store}} = Store.open(path)
+    end
+
+    test "list shows one recording", %{tmp_dir: root, path: path} do
+      {:ok, writer} = Writer.create("lobby", root)
+      :ok = Writer.close(writer)
+      assert Store.list(root) == [path, writer.path]
+      assert length(Store.list(root, segments: true)) == 7
+
+      assert [%{path: first, count: 9, first: 1, last: 9, live?: false, closed?: true} | _] =
+               Store.segments(Store.open!(path))
+
+      assert first == path <> ".0000"
+      assert Store.segments(Store.open!(writer.path)) == []
+    end
+
+    test "rename", %{tmp_dir: root, path: path} = ctx do
+      assert {:ok, renamed} = Store.rename(path, "door")
+      assert renamed == Path.join(root, "door")
+      assert times(Store.open!(renamed), "N") == ctx.messages
+      assert {:error, %{code: :no_store}} = Store.open(path)
+      assert %{name: "door"} = Store.info(Store.open!(renamed))
+      {:ok, _} = Store.copy(renamed, Path.join(root, "hall"))
+      assert {:error, %{code: :store_exists}} = Store.rename(renamed, "hall")
+    end
+
+    test "a rename that is killed at any step is completed", %{tmp_dir: root, path: path} = ctx do
+      plan = %{root: root, from: "hall", to: "door"}
+      steps = length(SegmentRenaming.list_steps(plan))
+
+      for done <- 0..steps, complete <- [:repair_old, :repair_new, :rename] do
+        for step <- Enum.take(SegmentRenaming.list_steps(plan), done),
+            do: :ok = SegmentRenaming.run_step(step, plan)
+
+        door = Path.join(root, "door")
+
+        # Each name is the complete recording, does not exist or says that it is incomplete.
+        for name <- [path, door] do
+          case Store.open(name) do
+            {:ok, store} -> assert times(store, "N") == ctx.messages
+            {:error, error} -> assert error.code in [:no_store, :rename_interrupted]
+          end
+        end
+
+        result =
+          case complete do
+            :rename -> if done < steps, do: Store.rename(path, "door"), else: {:ok, door}
+            :repair_old -> Store.repair(path)
+            :repair_new -> Store.repair(door)
+          end
+
+        # Before the first note and after the last one, one of the names does not exist.
+        unless match?({:ok, _}, result), do: assert(done in [0, steps], inspect(result))
+        at = if done == 0 and complete != :rename, do: path, else: door
+        assert times(Store.open!(at), "N") == ctx.messages
+        assert Enum.reject(File.ls!(root), &(&1 =~ ~r/\.\d{4}\z/)) == []
+        if at == door, do: {:ok, _} = Store.rename(door, "hall")
+      end
     end
   end
 

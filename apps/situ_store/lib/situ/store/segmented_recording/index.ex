@@ -252,7 +252,12 @@ defmodule Situ.Store.SegmentedRecording.Index do
     {contents, changed} = Scan.update(state.contents, folders, opts, dense?)
     if not dense?, do: warn_of_unseen(name, Scan.count_unseen(state.contents, contents, folders))
 
-    put_contents(state, contents, changed)
+    contents = Scan.note_lost(contents, Path.join(root, name))
+
+    # A segment was repaired that could not be read before. Its messages precede others.
+    if not dense? and Scan.out_of_order?(state.contents, contents),
+      do: read_again(state),
+      else: put_contents(state, contents, changed)
   end
 
   defp warn_of_unseen(_name, 0), do: :ok

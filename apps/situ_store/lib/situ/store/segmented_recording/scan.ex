@@ -2,7 +2,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   @moduledoc false
   # Brings an index up to date with the folder: finds new segments, reads the statistics of those that are being
   # written, and removes those that were deleted.
-  alias Situ.Store.{NativeFormat, SegmentedRecording}
+  alias Situ.Store.{NativeFormat, Replacement, SegmentedRecording}
   alias Situ.Store.SegmentedRecording.{Contents, Timeline}
   alias Situ.Store.SegmentedRecording.Contents.Segment
   alias Situ.Store.SegmentedRecording.Timeline.Part
@@ -46,13 +46,39 @@ defmodule Situ.Store.SegmentedRecording.Scan do
       else: newest - known - Enum.count(folders, fn {n, _} -> n > known and n <= newest end)
   end
 
+  @doc "Returns whether a new segment is older than one that was known before."
+  @spec out_of_order?(Contents.t(), Contents.t()) :: boolean()
+  def out_of_order?(before, contents) do
+    known = before.segments |> Map.keys() |> Enum.max(fn -> nil end)
+
+    known != nil and
+      Enum.any?(contents.segments, fn {n, _} ->
+        n < known and not is_map_key(before.segments, n)
+      end)
+  end
+
+  @doc "Notes the segments that have lost their names, because their compaction was interrupted."
+  @spec note_lost(Contents.t(), Path.t()) :: Contents.t()
+  def note_lost(contents, path) do
+    lost =
+      for folder <- Replacement.list_interrupted(path),
+          into: %{},
+          do: {folder, lost_sentence(folder)}
+
+    unreadable = Map.filter(contents.unreadable, fn {key, _} -> is_integer(key) end)
+    %{contents | unreadable: Map.merge(unreadable, lost)}
+  end
+
+  defp lost_sentence(folder),
+    do: "#{Path.basename(folder)} has lost its name; `situ store repair` restores it"
+
   defp changed_streams(before, contents) do
     for {name, timeline} <- contents.timelines, before.timelines[name] != timeline, do: name
   end
 
   defp remove_deleted(contents, folders) do
     gone = for {number, _} <- contents.segments, not is_map_key(folders, number), do: number
-    unreadable = Map.take(contents.unreadable, Map.keys(folders))
+    unreadable = Map.filter(contents.unreadable, fn {key, _} -> is_map_key(folders, key) end)
     Enum.reduce(gone, %{contents | unreadable: unreadable}, &remove_segment/2)
   end
 
