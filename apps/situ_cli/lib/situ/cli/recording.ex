@@ -35,9 +35,18 @@ defmodule Situ.CLI.Recording do
     end)
   end
 
-  @doc "Returns the size on disk in bytes."
-  @spec disk_size(Path.t()) :: non_neg_integer()
-  def disk_size(path) do
+  @doc "Returns the size of a recording on disk in bytes."
+  @spec disk_size(Store.t()) :: non_neg_integer()
+  def disk_size(store) do
+    case Store.segments(store) do
+      [] -> path_size(store.path)
+      segments -> segments |> Enum.map(&path_size(&1.path)) |> Enum.sum()
+    end
+  end
+
+  @doc "Returns the size of a file, or of the files in a folder, in bytes."
+  @spec path_size(Path.t()) :: non_neg_integer()
+  def path_size(path) do
     # Path.wildcard/1 fails on names that are not UTF-8.
     files =
       case File.ls(path) do

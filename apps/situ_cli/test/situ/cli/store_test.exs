@@ -76,15 +76,71 @@ defmodule Situ.CLI.StoreTest do
     assert elem(run(["info", writer.path, "-s", "S"]), 1) =~ "latency     not real time"
   end
 
-  test "info of a segment mentions the other segments", %{tmp_dir: root} do
-    for _ <- 1..2 do
-      {:ok, writer} = Writer.create("hall", root)
-      {:ok, _} = Writer.append_catalog(writer, %{kind: "piece", every: 10})
-      :ok = Writer.close(writer)
+  describe "a recording in segments" do
+    setup %{tmp_dir: tmp} do
+      root = Path.join(tmp, "segments")
+
+      for run <- 0..2 do
+        {:ok, writer} = Writer.create("hall", root)
+        {:ok, _} = Writer.append_catalog(writer, %{kind: "piece", every: 10, run: "#{run}"})
+        {:ok, stream} = Writer.stream(writer, "N", type: :integer)
+        at = run * 10
+
+        {:ok, _} = Writer.append(stream, for(i <- 1..5, do: message(at + i, at + i)))
+
+        :ok = Writer.close(writer)
+      end
+
+      %{hall: Path.join(root, "hall"), root: root}
     end
 
-    {0, text} = run(["info", Path.join(root, "hall")])
-    assert text =~ "segment of a recording in 2 segments: `situ store info '#{root}/hall.*'`"
+    test "is one recording for info, messages, export and query", %{hall: hall, root: root} do
+      {0, text} = run(["info", hall])
+      assert text =~ "hall  (#{hall})"
+
+      assert text =~ "15 messages" and
+               text =~ "3 segments of 3 runs: `situ store info '#{hall}' --segments`"
+
+      assert text =~ ~r/N +:integer +15 /
+      {0, text} = run(["info", hall, "--segments"])
+      assert [_, first, _, last] = String.split(text, "\n", trim: true)
+      assert first =~ ~r/hall.0000 +1970-01-01T00:00:01\.0+Z +4.00 s +5 .* closed/
+      assert last =~ "hall.0002"
+      {0, text} = run(["info", hall <> ".0001"])
+      assert text =~ "a segment of '#{hall}'" and text =~ "5 messages"
+      {0, list} = run(["info", root])
+      assert [line] = String.split(list, "\n", trim: true)
+      assert line =~ ~r/hall +1 stream, 24 s, .*, 3 segments, closed/
+
+      assert [%{"name" => "hall", "segments" => [_, _, %{"messages" => 5}]}] =
+               json(["info", hall, "--json"])
+
+      {0, messages} = run(["messages", hall])
+      assert length(String.split(messages, "\n", trim: true)) == 15
+      file = Path.join(root, "n.csv")
+      {0, _} = run(["export", hall, file])
+      assert length(String.split(File.read!(file), "\n", trim: true)) == 16
+      {0, text} = run(["pyramid", hall, "-s", "N"])
+      assert text != ""
+    end
+
+    test "is copied, cropped, verified, repaired, compacted, renamed and deleted", ctx do
+      out = Path.join(ctx.root, "out")
+      {0, copy} = run(["copy", ctx.hall, out])
+      assert length(values(String.trim(copy), "N")) == 15
+      {0, crop} = run(["crop", ctx.hall, out, "--start", "3s", "--length", "9s"])
+      assert values(String.trim(crop), "N") == [4, 5, 11, 12, 13]
+      {0, text} = run(["verify", ctx.hall])
+      assert text =~ "all intact"
+      {0, text} = run(["compact", ctx.hall])
+      assert text =~ "#{ctx.hall}: "
+      {0, _} = run(["repair", ctx.hall])
+      {0, renamed} = run(["rename", ctx.hall, "door"])
+      assert String.trim(renamed) == Path.join(ctx.root, "door")
+      assert length(values(String.trim(renamed), "N")) == 15
+      assert {0, _} = run(["delete", String.trim(renamed), "--yes"])
+      assert Enum.filter(File.ls!(ctx.root), &(&1 =~ "door")) == []
+    end
   end
 
   test "crops, copies, concatenates, edits, renames and deletes", %{path: path, tmp_dir: root} do

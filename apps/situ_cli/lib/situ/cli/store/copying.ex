@@ -9,7 +9,8 @@ defmodule Situ.CLI.Store.Copying do
 
   @recording [
     kind: :recording,
-    doc: "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
+    doc:
+      "a store's folder, ROOT/NAME for all segments or the newest version NAME.NNNN, or an external file"
   ]
   @new [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
   @about """

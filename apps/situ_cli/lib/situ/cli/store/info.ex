@@ -50,19 +50,29 @@ defmodule Situ.CLI.Store.Info do
         streams = Store.streams(store)
 
         "#{store.path}  #{Output.format_count(length(streams), "stream")}, #{format_length(streams)}, " <>
-          "#{Output.format_bytes(Recording.disk_size(store.path))}, #{store_state(Store.info(store))}"
+          "#{Output.format_bytes(Recording.disk_size(store))}, #{count_segments(store)}" <>
+          store_state(Store.info(store))
 
       {:error, error} ->
         "#{path}  #{error.what}"
     end
   end
 
+  defp count_segments(store) do
+    case length(Store.segments(store)) do
+      0 -> ""
+      count -> Output.format_count(count, "segment") <> ", "
+    end
+  end
+
   defp show_recording(path, opts) do
     store = Store.open!(path)
 
-    if name = opts[:stream],
-      do: StreamDetails.print_stream(store, name, opts[:json] == true),
-      else: print_overview(store)
+    cond do
+      name = opts[:stream] -> StreamDetails.print_stream(store, name, opts[:json] == true)
+      opts[:segments] -> print_segments(store)
+      true -> print_overview(store)
+    end
 
     0
   end
@@ -75,7 +85,7 @@ defmodule Situ.CLI.Store.Info do
     Output.puts(
       "  #{store_state(info)}; #{Output.format_count(length(streams), "stream")}, " <>
         "#{Output.format_count(count_messages(streams), "message")}, " <>
-        "#{Output.format_bytes(Recording.disk_size(store.path))} on disk"
+        "#{Output.format_bytes(Recording.disk_size(store))} on disk"
     )
 
     case Store.interval(streams) do
@@ -100,19 +110,52 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  # The name of a recording with several segments opens the newest segment.
-  defp segment_lines(store, %{piece: %{}, name: name}) do
-    root = Path.dirname(store.path)
-    count = Enum.count(Store.list(root), &(Store.Folder.store_name(&1) == name))
+  defp segment_lines(store, %{segments: count} = info) do
+    runs = store |> Store.segments() |> Enum.uniq_by(& &1.run) |> length()
+    {deleted, _messages} = info.deleted
 
-    if count > 1,
-      do: [
-        "segment of a recording in #{count} segments: `situ store info '#{Path.join(root, name)}.*'`"
-      ],
-      else: []
+    [
+      "#{Output.format_count(count, "segment")} of #{Output.format_count(runs, "run")}: " <>
+        "`situ store info '#{store.path}' --segments`"
+      | if(deleted > 0, do: ["#{Output.format_count(deleted, "segment")} deleted since"], else: [])
+    ]
   end
 
+  # A segment that was opened by its own name.
+  defp segment_lines(store, %{piece: %{}, name: name}),
+    do: ["a segment of '#{Path.join(Path.dirname(store.path), name)}'"]
+
   defp segment_lines(_store, _info), do: []
+
+  defp print_segments(store) do
+    case Store.segments(store) do
+      [] ->
+        Output.puts("#{store.path} has no segments.")
+
+      segments ->
+        Output.print_table(
+          [~w(segment start length messages size state) | segment_rows(segments)],
+          0
+        )
+    end
+  end
+
+  defp segment_rows(segments) do
+    for segment <- segments do
+      [
+        Path.basename(segment.path),
+        if(segment.first, do: Time.to_iso8601(segment.first), else: "-"),
+        if(segment.first, do: Time.format_duration(segment.last - segment.first), else: "empty"),
+        Integer.to_string(segment.count),
+        Output.format_bytes(Recording.path_size(segment.path)),
+        short_state(segment)
+      ]
+    end
+  end
+
+  defp short_state(%{live?: true}), do: "being written"
+  defp short_state(%{closed?: true}), do: "closed"
+  defp short_state(_killed), do: "not closed"
 
   # Describes properties that external files contain about themselves.
   defp external_lines(store, info) do
@@ -144,10 +187,11 @@ defmodule Situ.CLI.Store.Info do
   # Only Situ's own files have checksums to verify. For an external file, the first damaged positions are listed.
   defp damage_lines(_store, %{damage: []}), do: []
 
-  defp damage_lines(%{module: Store.NativeFormat} = store, info),
-    do: [
-      "in #{Output.format_count(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
-    ]
+  defp damage_lines(%{module: module} = store, info)
+       when module in [Store.NativeFormat, Store.SegmentedRecording],
+       do: [
+         "in #{Output.format_count(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
+       ]
 
   defp damage_lines(_store, info) do
     lines = for damage <- Enum.take(info.damage, 5), do: Situ.Recording.describe_damage(damage)
@@ -211,6 +255,17 @@ defmodule Situ.CLI.Store.Info do
   defp store_state(_),
     do: "not closed (its writer was killed; it is readable, and `situ store repair` closes it)"
 
+  defp segment_json(segment) do
+    %{
+      path: segment.path,
+      first: segment.first,
+      last: segment.last,
+      messages: segment.count,
+      closed: segment.closed?,
+      live: segment.live?
+    }
+  end
+
   defp store_json(store) do
     info = Store.info(store)
 
@@ -220,7 +275,8 @@ defmodule Situ.CLI.Store.Info do
       closed: info.closed?,
       live: info.live?,
       created: info.created,
-      size: Recording.disk_size(store.path),
+      size: Recording.disk_size(store),
+      segments: Enum.map(Store.segments(store), &segment_json/1),
       damage: length(info.damage),
       missing_files: Store.missing_files(store),
       streams: Enum.map(Store.streams(store), &StreamDetails.stream_json(store, &1))

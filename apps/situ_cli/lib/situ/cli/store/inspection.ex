@@ -8,7 +8,8 @@ defmodule Situ.CLI.Store.Inspection do
 
   @recording [
     kind: :recording,
-    doc: "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
+    doc:
+      "a store's folder, ROOT/NAME for all segments or the newest version NAME.NNNN, or an external file"
   ]
 
   @impl true
@@ -21,7 +22,8 @@ defmodule Situ.CLI.Store.Inspection do
         about: """
         Several recordings, or a folder of recordings, are listed one per line. Gaps are measured between chunks of the
         file; `situ store stats` measures every message. --json prints a list of recordings, even for a single one;
-        with --stream it prints that stream.
+        with --stream it prints that stream. A recording in segments (ROOT/NAME) is one recording, over restarts of its
+        recorder; --segments lists its segments.
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
         options: [
@@ -32,6 +34,7 @@ defmodule Situ.CLI.Store.Inspection do
             short: :s,
             value: "NAME"
           ),
+          Option.new(:segments, :flag, "list the segments of a recording that is split"),
           Option.new(
             :show,
             McapStructure.part_names(),
@@ -41,6 +44,7 @@ defmodule Situ.CLI.Store.Inspection do
         examples: [
           "situ store info recordings/lobby",
           "situ store info recordings --json",
+          "situ store info recordings/hall --segments",
           "situ store info drive.mcap --show chunks"
         ],
         run: &show_info/2

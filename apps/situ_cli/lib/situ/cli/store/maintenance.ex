@@ -9,7 +9,7 @@ defmodule Situ.CLI.Store.Maintenance do
 
   @store [
     kind: :recording,
-    doc: "a store's folder, or ROOT/NAME for its newest version NAME.NNNN"
+    doc: "a store's folder, or ROOT/NAME for all segments or the newest version NAME.NNNN"
   ]
 
   @impl true
@@ -90,9 +90,10 @@ defmodule Situ.CLI.Store.Maintenance do
   defp compact_stores(paths, opts) do
     done =
       for path <- paths do
-        folder = store_folder!(path)
+        store = Recording.open!(path)
+        folder = store.path
         UnfinishedOutput.remove_store_at_exit(folder)
-        before = Recording.disk_size(folder)
+        before = Recording.disk_size(store)
         copying = Arguments.copy_options(opts, fn _, _ -> :ok end)
 
         Progress.with_progress("compact", opts, fn progress ->
@@ -101,7 +102,7 @@ defmodule Situ.CLI.Store.Maintenance do
           )
         end)
 
-        %{path: folder, before: before, size: Recording.disk_size(folder)}
+        %{path: folder, before: before, size: Recording.disk_size(Recording.open!(folder))}
       end
 
     if opts[:json], do: Output.print_json(done), else: Enum.each(done, &print_compacted/1)
@@ -123,7 +124,7 @@ defmodule Situ.CLI.Store.Maintenance do
   defp delete_store(%{path: path}, opts) do
     folder = store_folder!(path)
 
-    if opts[:yes] || confirm_deletion?(folder) do
+    if opts[:yes] || confirm_deletion?(folder, count_segments(folder)) do
       :ok = unwrap!(Store.delete(folder))
       if opts[:json], do: Output.print_json(%{deleted: folder})
       0
@@ -141,8 +142,16 @@ defmodule Situ.CLI.Store.Maintenance do
     end
   end
 
-  defp confirm_deletion?(folder) do
-    answer = IO.gets("Delete #{Output.format_name(folder)}? [y/N] ")
+  defp count_segments(folder) do
+    case Store.open(folder) do
+      {:ok, store} -> length(Store.segments(store))
+      {:error, _} -> 0
+    end
+  end
+
+  defp confirm_deletion?(folder, segments) do
+    parts = if segments > 0, do: " and its #{Output.format_count(segments, "segment")}", else: ""
+    answer = IO.gets("Delete #{Output.format_name(folder)}#{parts}? [y/N] ")
     is_binary(answer) and String.trim(answer) in ["y", "Y", "yes"]
   end
 

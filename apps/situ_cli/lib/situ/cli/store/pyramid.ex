@@ -6,7 +6,7 @@ defmodule Situ.CLI.Store.Pyramid do
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.Arguments
   alias Situ.{Error, Store, Time}
-  alias Situ.Store.{NativeFormat, Summary}
+  alias Situ.Store.{NativeFormat, SegmentedRecording, Summary}
 
   @impl true
   def verbs do
@@ -66,7 +66,7 @@ defmodule Situ.CLI.Store.Pyramid do
   end
 
   defp show_summaries(store, infos, opts) do
-    stored? = store.module == NativeFormat
+    stored? = store.module in [NativeFormat, SegmentedRecording]
     summaries = for info <- infos, info.count > 0, do: read_summary(store, info, stored?, opts)
 
     cond do

@@ -81,7 +81,10 @@ defmodule Situ.CLI.Store.StreamDetails do
   end
 
   # External formats set unknown sizes and creation times to 0 or nil.
-  defp value_known?(%{module: Store.NativeFormat}, _info, _value), do: true
+  defp value_known?(%{module: module}, _info, _value)
+       when module in [Store.NativeFormat, Store.SegmentedRecording],
+       do: true
+
   defp value_known?(_foreign, %{count: 0}, _value), do: true
   defp value_known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
