@@ -293,9 +293,15 @@ defmodule Situ.Store do
       Formats.for_folder(here) != nil
   end
 
-  @doc "Returns the folder of the newest version of store `name` in `root`, or `nil`."
+  @doc """
+  Returns the folder of the newest version of store `name` in `root`, or `nil`. If that is a segment, returns
+  `root/name`, which opens all segments.
+  """
   @spec newest(String.t(), Path.t()) :: Path.t() | nil
-  def newest(name, root), do: Folder.newest_version(name, Path.expand(root))
+  def newest(name, root) do
+    path = root |> Path.expand() |> Path.join(name)
+    if Segments.segmented?(path), do: path, else: Folder.newest_version(name, Path.dirname(path))
+  end
 
   @list_options [
     recursive: [type: :boolean, default: false, doc: "Search subfolders, too."],

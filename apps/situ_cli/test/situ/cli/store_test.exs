@@ -110,7 +110,7 @@ defmodule Situ.CLI.StoreTest do
       assert text =~ "a segment of '#{hall}'" and text =~ "5 messages"
       {0, list} = run(["info", root])
       assert [line] = String.split(list, "\n", trim: true)
-      assert line =~ ~r/hall +1 stream, 24 s, .*, 3 segments, closed/
+      assert line =~ ~r/hall +1 stream, 24.0 s, .*, 3 segments, closed/
 
       assert [%{"name" => "hall", "segments" => [_, _, %{"messages" => 5}]}] =
                json(["info", hall, "--json"])

@@ -45,7 +45,9 @@ defmodule Situ.Cluster.Recordings do
 
   defp describe_recording(path) do
     name = Path.basename(path)
-    changed = with {:ok, %{mtime: at}} <- File.stat(path, time: :posix), do: at, else: (_ -> 0)
+    # The path of a recording in segments is not a folder.
+    folder = Situ.Store.Folder.resolve_store(path) || path
+    changed = with {:ok, %{mtime: at}} <- File.stat(folder, time: :posix), do: at, else: (_ -> 0)
     live? = with {:ok, store} <- Store.open(path), do: Store.live?(store), else: (_ -> false)
     %{id: "#{node()}/#{name}", node: node(), name: name, live?: live?, changed: changed}
   end

@@ -65,8 +65,26 @@ defmodule Situ.Dataset.Checksum do
     cond do
       File.regular?(path) -> {:ok, [path]}
       File.dir?(path) -> {:ok, path |> Path.join("*") |> Path.wildcard() |> Enum.sort()}
-      true -> {:error, read_error(path, :enoent)}
+      true -> list_segment_files(path)
     end
+  end
+
+  defp list_segment_files(path) do
+    with {:ok, store} <- Situ.Store.open(path),
+         [_ | _] = segments <- Situ.Store.segments(store) do
+      {:ok,
+       Enum.flat_map(segments, &(&1.path |> Path.join("*") |> Path.wildcard() |> Enum.sort()))}
+    else
+      _ -> {:error, read_error(path, :enoent)}
+    end
+  end
+
+  defp file_name(root, root), do: ""
+
+  defp file_name(file, root) do
+    if Path.dirname(file) == root,
+      do: Path.basename(file),
+      else: Path.relative_to(file, Path.dirname(root))
   end
 
   defp file_lines(files, root) do
@@ -75,7 +93,7 @@ defmodule Situ.Dataset.Checksum do
     |> Enum.reduce_while({:ok, []}, fn file, {:ok, lines} ->
       case file_digest(file) do
         {:ok, size, digest} ->
-          name = if file == root, do: "", else: Path.basename(file)
+          name = file_name(file, root)
           {:cont, {:ok, [lines, name, 0, Integer.to_string(size), 0, digest]}}
 
         {:error, reason} ->

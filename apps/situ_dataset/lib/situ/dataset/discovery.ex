@@ -84,10 +84,15 @@ defmodule Situ.Dataset.Discovery do
   # form a cycle.
   defp list_entries(folder) do
     stores = MapSet.new(Store.list(folder))
+    segments = MapSet.new(Store.list(folder, segments: true)) |> MapSet.difference(stores)
+    names = MapSet.new(list_names(folder))
+    # The name of a recording in segments is not the name of a folder.
+    segmented = for path <- stores, name = Path.basename(path), name not in names, do: name
 
-    for name <- list_names(folder),
+    for name <- Enum.sort(segmented ++ MapSet.to_list(names)),
         not (String.starts_with?(name, ".") or String.ends_with?(name, ".unfinished")),
         path = Path.join(folder, name),
+        path not in segments,
         kind = entry_kind(path, stores),
         do: {kind, path}
   end

@@ -367,7 +367,9 @@ defmodule Situ.Store.SegmentedRecordingTest do
           end
 
         # Before the first note and after the last one, one of the names does not exist.
-        unless match?({:ok, _}, result), do: assert(done in [0, steps - 1, steps], inspect(result))
+        unless match?({:ok, _}, result),
+          do: assert(done in [0, steps - 1, steps], inspect(result))
+
         # The note of the new name is the first that is written, so the old name may be complete without it.
         if File.exists?(door <> ".renaming"), do: {:ok, _} = Store.repair(door)
         at = if done == 0 and complete != :rename, do: path, else: door

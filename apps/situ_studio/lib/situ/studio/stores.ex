@@ -136,7 +136,7 @@ defmodule Situ.Studio.Stores do
 
     stores = folder |> Situ.Store.list() |> Enum.reject(&(file_type(&1) == :symlink))
     files = for {:regular, path} <- entries, known_ending?(path), do: path
-    folders = for {:directory, path} <- entries, path not in stores, depth > 0, do: path
+    folders = for {:directory, path} <- entries, depth > 0, not store?(path, stores), do: path
 
     Enum.reduce(
       folders,
@@ -144,6 +144,9 @@ defmodule Situ.Studio.Stores do
       &walk_folder(&1, depth - 1, &2)
     )
   end
+
+  # Segments are listed as one recording.
+  defp store?(path, stores), do: path in stores or Situ.Store.Folder.store_folder?(path)
 
   defp known_ending?(path),
     do:

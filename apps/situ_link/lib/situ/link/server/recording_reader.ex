@@ -8,12 +8,22 @@ defmodule Situ.Link.Server.RecordingReader do
   alias Situ.Error
   alias Situ.Link.Wire.Batch
   alias Situ.Link.Server.RecordingVersions
-  alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
+  alias Situ.Store.{NativeFormat, Query, SegmentedRecording, StreamInfo, TypeName}
 
   @batch 512
   @before_all Batch.before_all()
 
-  defstruct [:series, :store, live?: false, version: 0, count: 0, notice: :no, catalog: -1]
+  # `whole`: all segments of a recording that is split, for requests.
+  defstruct [
+    :series,
+    :store,
+    :whole,
+    live?: false,
+    version: 0,
+    count: 0,
+    notice: :no,
+    catalog: -1
+  ]
 
   @type t :: %__MODULE__{}
   @type cursor :: map()
@@ -36,10 +46,27 @@ defmodule Situ.Link.Server.RecordingReader do
   def open({:store, %Situ.Recording{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
-    with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | live?: true}}
+    with {:ok, state} <- open_series(root, name), do: {:ok, %{state | live?: true}}
   end
 
   def open({:series, root, name}) do
+    with {:ok, state} <- open_series(root, name), do: {:ok, open_whole(state)}
+  end
+
+  # Ordinals of the recording's index are the same for all clients and connections.
+  defp open_whole(%{whole: nil, live?: false, series: {root, name}} = state) do
+    case Query.open(Path.join(root, name)) do
+      {:ok, %{module: SegmentedRecording} = whole} ->
+        %{state | whole: %{whole | state: %{whole.state | origin: %{}}}}
+
+      _ ->
+        state
+    end
+  end
+
+  defp open_whole(state), do: state
+
+  defp open_series(root, name) do
     state = %__MODULE__{series: {root, name}}
 
     case RecordingVersions.newest_version(root, name) do
@@ -96,6 +123,7 @@ defmodule Situ.Link.Server.RecordingReader do
        Error.new(:no_store, "the recording #{name} does not exist yet", fix: "try again later")}
 
   def fetch_store(%{series: nil, store: store}, _version), do: {:ok, store}
+  def fetch_store(%{whole: %{} = whole}, nil), do: {:ok, whole}
   def fetch_store(%{version: version, store: store}, version), do: {:ok, store}
   def fetch_store(%{store: store}, nil), do: {:ok, store}
 
@@ -113,6 +141,7 @@ defmodule Situ.Link.Server.RecordingReader do
   defp count_records(%{module: NativeFormat} = store),
     do: Query.count(store, %StreamInfo{id: 0, name: ""})
 
+  defp count_records(%{module: SegmentedRecording} = store), do: length(Query.streams(store))
   defp count_records(_foreign), do: 0
 
   @doc "Returns a position in a stream, and the originating time of the last message before it."
@@ -124,9 +153,15 @@ defmodule Situ.Link.Server.RecordingReader do
 
   def open_cursor(state, name, from) when from in [:now, :start] do
     case Query.stream_info(state.store, name) do
-      {:ok, info} when from == :start -> {:ok, build_cursor(state, info, 0), @before_all}
-      {:ok, info} -> {:ok, build_cursor(state, info, info.count), last_time(state, name)}
-      {:error, _} -> :unknown
+      {:ok, info} when from == :start ->
+        {:ok, build_cursor(state, info, 0), @before_all}
+
+      {:ok, info} ->
+        next = Query.count(state.store, info)
+        {:ok, build_cursor(state, info, next), last_time(state, name)}
+
+      {:error, _} ->
+        :unknown
     end
   end
 
@@ -215,7 +250,7 @@ defmodule Situ.Link.Server.RecordingReader do
   # If a killed writer left a recording open, a later version may continue it.
   defp check_end(state, cursor, info) do
     newest? = cursor.version == state.version
-    at_end? = cursor.ordinal >= info.count
+    at_end? = cursor.ordinal >= Query.count(cursor.store, info)
 
     cond do
       not newest? or not at_end? -> {:idle, cursor}
@@ -274,7 +309,7 @@ defmodule Situ.Link.Server.RecordingReader do
     case RecordingVersions.newest_version(root, name) do
       {version, path} when state.store == nil or version > state.version ->
         case Query.open(path) do
-          {:ok, store} -> {true, set_version(state, version, store)}
+          {:ok, store} -> {true, state |> set_version(version, store) |> open_whole()}
           {:error, _unfinished} -> {false, state}
         end
 

@@ -52,7 +52,7 @@ defmodule Situ.Studio.Datasets.Deletion do
   end
 
   defp check_not_recording(path) do
-    with true <- File.exists?(path),
+    with true <- recorded?(path),
          {:ok, store} <- Store.open(path),
          true <- Store.live?(store) do
       {:error,
@@ -87,9 +87,12 @@ defmodule Situ.Studio.Datasets.Deletion do
         do: folder
   end
 
+  # The path of a recording in segments is not a file.
+  defp recorded?(path), do: File.exists?(path) or Store.exists?(path)
+
   defp delete_path(path) do
     cond do
-      not File.exists?(path) -> :ok
+      not recorded?(path) -> :ok
       Store.exists?(path) -> Store.delete(path)
       File.regular?(path) -> removal_result(File.rm(path), path)
       true -> {:error, not_a_recording_error(path)}

@@ -10,6 +10,8 @@ defmodule Situ.Studio.Datasets.Summary do
             to: nil,
             size: 0,
             sessions: nil,
+            segments: 0,
+            pauses: 0,
             live: false,
             damaged: false,
             error: nil
@@ -20,6 +22,8 @@ defmodule Situ.Studio.Datasets.Summary do
           to: Situ.Time.t() | nil,
           size: non_neg_integer(),
           sessions: non_neg_integer() | nil,
+          segments: non_neg_integer(),
+          pauses: non_neg_integer(),
           live: boolean(),
           damaged: boolean(),
           error: Error.t() | nil
@@ -29,9 +33,24 @@ defmodule Situ.Studio.Datasets.Summary do
   @spec of_recording(Path.t()) :: t()
   def of_recording(path) do
     case Recordings.Store.open(path) do
-      {:ok, source} -> use_file_size(of_source(source), path)
+      {:ok, source} -> source |> of_source() |> use_file_size(path) |> put_segments(source)
       {:error, error} -> %__MODULE__{error: error}
     end
+  end
+
+  defp put_segments(facts, %{state: %{recording: recording}}) do
+    segments = Store.segments(recording)
+    %{facts | segments: length(segments), pauses: count_pauses(segments)}
+  end
+
+  @pause 1_000_000_000
+
+  # Between two runs of the recorder there is a gap in all streams.
+  defp count_pauses(segments) do
+    segments
+    |> Enum.filter(& &1.first)
+    |> Enum.chunk_every(2, 1, :discard)
+    |> Enum.count(fn [one, next] -> one.run != next.run and next.first - one.last >= @pause end)
   end
 
   # The decoded streams of a video are much larger than its file, so a single-file recording has the size of its file.
@@ -114,7 +133,15 @@ defmodule Situ.Studio.Datasets.Summary do
 
     case File.stat(if(Store.exists?(folder) and File.exists?(index), do: index, else: folder)) do
       {:ok, stat} -> {stat.size, stat.mtime, stat.inode}
-      {:error, reason} -> reason
+      {:error, reason} -> segments_stamp(path) || reason
     end
+  end
+
+  # Only the newest segments grow, and segments are deleted as a whole.
+  defp segments_stamp(path) do
+    folders = Situ.Store.Folder.list_versions(Path.basename(path), Path.dirname(path))
+
+    if folders != [],
+      do: {length(folders), hd(folders), folders |> Enum.take(-2) |> Enum.map(&file_stamp/1)}
   end
 end

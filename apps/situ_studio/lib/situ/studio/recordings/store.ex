@@ -8,7 +8,7 @@ defmodule Situ.Studio.Recordings.Store do
 
   alias Situ.{Error, Recording, Store}
   alias Situ.Recording.Formats
-  alias Situ.Store.{NativeErrors, Query, Summary}
+  alias Situ.Store.{NativeErrors, Query, SegmentedRecording, Summary}
 
   @enforce_keys [:recording, :cache]
   defstruct [:recording, :cache]
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Recordings.Store do
   def open(path, reader_opts \\ []) do
     with {:ok, recording} <- Store.open(path, reader_opts: reader_opts) do
       cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
-      :ets.insert(cache, {:stamp, file_stamp(recording.path), Store.live?(recording)})
+      :ets.insert(cache, {:stamp, file_stamp(recording), Store.live?(recording)})
       for info <- Store.streams(recording), do: load_type_modules(info.type)
       state = %__MODULE__{recording: recording, cache: cache}
       {:ok, %Recording{path: recording.path, module: __MODULE__, state: state}}
@@ -131,7 +131,7 @@ defmodule Situ.Studio.Recordings.Store do
 
   # If the file was deleted and replaced, the open one would keep showing outdated data.
   defp check_unchanged(%__MODULE__{cache: cache} = state, live?) do
-    case {file_stamp(state.recording.path), :ets.lookup(cache, :stamp)} do
+    case {file_stamp(state.recording), :ets.lookup(cache, :stamp)} do
       {nil, _} ->
         gone_error(state)
 
@@ -149,7 +149,10 @@ defmodule Situ.Studio.Recordings.Store do
 
   # Returns the stamp of a store's index, or of the file itself. Only the inode is compared while a recording is being
   # written. A recording on another machine remains the version that was opened.
-  defp file_stamp(path),
+  # The reader of a recording in segments notices replaced segments itself.
+  defp file_stamp(%{module: SegmentedRecording}), do: {:segments, 0, 0}
+
+  defp file_stamp(%{path: path}),
     do: if(Formats.for_address(path), do: {:elsewhere, 0, 0}, else: on_disk(path))
 
   defp on_disk(path) do

@@ -211,7 +211,9 @@ defmodule Situ.Studio.Web.HomeView do
 
     Enum.reject(
       [
+        format_segments(facts),
         Summary.format_duration(facts),
+        format_pauses(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
         # The memory used by messages is not measured.
         if(item.kind == :source, do: "", else: StreamTotals.format_bytes(facts.size))
@@ -220,9 +222,19 @@ defmodule Situ.Studio.Web.HomeView do
     )
   end
 
+  defp format_segments(%{segments: 0}), do: ""
+  defp format_segments(%{segments: 1}), do: "1 segment"
+  defp format_segments(%{segments: n}), do: "#{n} segments"
+
+  defp format_pauses(%{pauses: 0}), do: ""
+  defp format_pauses(%{pauses: 1}), do: "1 gap"
+  defp format_pauses(%{pauses: n}), do: "#{n} gaps"
+
   # Returns the time of the last write, in this machine's time zone.
   defp modification_time(%{path: path}) when is_binary(path) do
-    case File.stat(path, time: :local) do
+    newest = Situ.Store.Folder.resolve_store(path) || path
+
+    case File.stat(newest, time: :local) do
       {:ok, %{mtime: mtime}} ->
         mtime |> NaiveDateTime.from_erl!() |> NaiveDateTime.to_string() |> String.slice(0, 16)
 
