@@ -6,6 +6,7 @@ import base64
 import math
 import os
 import random
+import shutil
 import struct
 import subprocess
 import sys
@@ -49,6 +50,99 @@ class TermTest(unittest.TestCase):
                 terms.decode_term(bytes([131, tag]) + bytes(40))
         with self.assertRaises(TypeError):
             terms.encode_term(object())
+
+
+class SegmentTest(unittest.TestCase):
+    """Recordings in segments. The writer of this package writes stores, which the tests mark as segments."""
+
+    def write_segment(self, root, run, times, name="n", close=True):
+        writer = situ.create("hall", root)
+        writer._add_record({"kind": "piece", "every": 10, "run": run})
+        writer._add_record({"kind": "piece"})
+        for time in times:
+            writer.write(name, time, (run, time))
+        writer.commit()
+        if close:
+            writer.close()
+        return writer
+
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.root, self.path = folder.name, os.path.join(folder.name, "hall")
+
+    def test_reads_all_segments_as_one_recording(self):
+        for first in (1, 11, 21):
+            self.write_segment(self.root, "a", range(first, first + 9))
+        self.write_segment(self.root, "b", [51], name="late")
+        store = situ.open(self.path)
+        self.assertEqual((store.name, store.state, len(store.segments)), ("hall", "closed", 4))
+        self.assertEqual([m.time for m in store.read("n")], [*range(1, 10), *range(11, 20), *range(21, 30)])
+        self.assertEqual([m.time for m in store.read("n", 8, 12)], [8, 9, 11, 12])
+        self.assertEqual([m.time for m in store.read("late")], [51])
+        stream = store.streams["n"]
+        self.assertEqual((stream.count, stream.first, stream.last), (27, 1, 29))
+        with self.assertRaises(KeyError):
+            next(store.read("none"))
+        self.assertEqual(len(list(situ.open(self.path + ".0001").read("n"))), 9)
+
+    def test_a_later_run_replaces_what_an_earlier_one_recorded_for_the_same_times(self):
+        self.write_segment(self.root, "a", range(1, 10))
+        self.write_segment(self.root, "a", range(11, 20))
+        self.write_segment(self.root, "b", range(6, 9))
+        store = situ.open(self.path)
+        wanted = [("a", time) for time in range(1, 6)] + [("b", time) for time in range(6, 9)]
+        self.assertEqual([tuple(m.data) for m in store.read("n")], wanted)
+        self.assertEqual(store.streams["n"].count, 8)
+
+    def test_a_version_that_is_not_a_segment_is_a_recording_of_its_own(self):
+        self.write_segment(self.root, "a", [1])
+        with situ.create("hall", self.root) as writer:
+            writer.write("other", 5, 5)
+        self.assertEqual(list(situ.open(self.path).streams), ["other"])
+        self.write_segment(self.root, "a", [2])
+        self.assertEqual([m.time for m in situ.open(self.path).read("n")], [1, 2])
+
+    def test_follows_a_recording_into_new_segments(self):
+        first = self.write_segment(self.root, "a", [1], close=False)
+        messages = situ.open(self.path).read("n", follow=True)
+        self.assertEqual(next(messages).time, 1)
+        second = self.write_segment(self.root, "a", [11], close=False)
+        first.close()
+        self.assertEqual(next(messages).time, 11)
+        second.close()
+        self.assertEqual(list(messages), [])
+
+    def test_says_that_a_segment_was_deleted_before_it_was_read(self):
+        for first in (1, 11, 21):
+            self.write_segment(self.root, "a", range(first, first + 9))
+        messages = situ.open(self.path).read("n")
+        self.assertEqual(next(messages).time, 1)
+        shutil.rmtree(self.path + ".0001")
+        with self.assertWarns(situ.DeletedWarning):
+            self.assertEqual([m.time for m in messages], [*range(2, 10), *range(21, 30)])
+
+    def test_reads_the_other_segments_if_one_is_damaged(self):
+        for first in (1, 11, 21):
+            self.write_segment(self.root, "a", [first])
+        for number in (1, 2):
+            with open(f"{self.path}.000{number}/index.situ", "r+b") as file:
+                file.write(b"nonsense")
+        store = situ.open(self.path)
+        self.assertEqual([m.time for m in store.read("n")], [1])
+        self.assertEqual(len(store.damage), 2)
+
+    @unittest.skipIf(np is None, "numpy is not installed")
+    def test_returns_columns_of_all_segments(self):
+        for first in (1, 11):
+            writer = situ.create("hall", self.root)
+            writer._add_record({"kind": "piece", "run": "a"})
+            for time in range(first, first + 9):
+                writer.write("x", time, time / 2)
+            writer.close()
+        times, data = situ.open(self.path).array("x", 5, 15)
+        self.assertEqual(list(times), [5, 6, 7, 8, 9, 11, 12, 13, 14, 15])
+        self.assertEqual(list(data), [time / 2 for time in times])
 
 
 class MaliciousInputTest(unittest.TestCase):

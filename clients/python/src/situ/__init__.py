@@ -18,7 +18,8 @@ Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
 from .binary import Damaged, Missing
 from .dataset import Dataset, Partition, Session
 from .network import publish, pull, push, subscribe
-from .reader import AbandonedWarning, Message, Store, Stream, open
+from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, open
+from .segments import SegmentedStore
 from .terms import Atom, Struct
 from .times import from_datetime, from_text, now, to_datetime, to_text
 from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded
@@ -30,6 +31,7 @@ __all__ = [
     "Atom",
     "AudioBuffer",
     "Damaged",
+    "DeletedWarning",
     "Dataset",
     "DepthImage",
     "EncodedImage",
@@ -39,6 +41,7 @@ __all__ = [
     "Partition",
     "PointCloud",
     "Pose",
+    "SegmentedStore",
     "Session",
     "Store",
     "Stream",

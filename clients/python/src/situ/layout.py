@@ -177,7 +177,7 @@ class StoreFiles:
 
     def read_catalog(self):
         """Returns the store's record, and a dict from stream number to the stream's records."""
-        streams, store = {}, {}
+        streams, store, piece = {}, {}, None
         for entry in self.find_entries(0, 0):
             for message in self._read_catalog_messages(entry):
                 try:
@@ -189,10 +189,15 @@ class StoreFiles:
                 stream = streams.setdefault(record.get("id"), {"codecs": {}})
                 if kind == "store":
                     store = record
+                elif kind == "piece":
+                    # Later records add facts.
+                    piece = {**(piece or {}), **{key: value for key, value in record.items() if value is not None}}
                 elif kind == "codec":
                     stream["codecs"][record["number"]] = record["name"]
                 else:
                     stream[kind] = record
+        if piece is not None:
+            store = {**store, "piece": piece}
         return store, {id: stream for id, stream in streams.items() if "stream" in stream}
 
     def _read_catalog_messages(self, entry):

@@ -41,26 +41,19 @@ class AbandonedWarning(UserWarning):
     """Warns that the writer of a followed store was killed, so that no more messages will arrive."""
 
 
+class DeletedWarning(UserWarning):
+    """Warns that the recorder has deleted a segment before a reader could read all of it."""
+
+
 def open(path):
     """Opens a store: `path` is its folder, or `root/name` for the newest store of that name.
 
-    Raises FileNotFoundError and `Damaged`.
+    If the newest store is a segment of a recording, `root/name` opens all segments as one (`SegmentedStore`). Raises
+    FileNotFoundError and `Damaged`.
     """
-    path = os.fspath(path)
-    if not os.path.exists(os.path.join(path, "index.situ")):
-        path = _find_newest(path) or path
-    return Store(path)
+    from . import segments
 
-
-def _find_newest(path):
-    root, name = os.path.split(path)
-    root = root or "."
-    if not os.path.isdir(root):
-        return None
-    prefix = name + "."
-    endings = [full[len(prefix) :] for full in os.listdir(root) if full.startswith(prefix)]
-    numbers = [ending for ending in endings if ending.isdigit()]
-    return os.path.join(root, prefix + max(numbers, key=int)) if numbers else None
+    return segments.open_path(os.fspath(path))
 
 
 class Store:
@@ -88,6 +81,7 @@ class Store:
     def _index_streams(self):
         record, streams = self._files.read_catalog()
         self.name = record.get("name")
+        self._segment = record.get("piece")
         self._ids, self._streams, self._records, self._entries = {}, {}, {}, {}
         for entry in self._files.entries:
             if entry["level"] == 0:
@@ -116,6 +110,11 @@ class Store:
         except (Damaged, binascii.Error, KeyError, TypeError, ValueError) as error:
             self._files.note_damage(f"the metadata of stream {name!r}: {error}")
             return None
+
+    @property
+    def segment(self):
+        """The facts about a segment of a recording as a dict, or None if the store is not a segment."""
+        return self._segment
 
     @property
     def streams(self):

@@ -1,0 +1,254 @@
+"""Reads the segments of a recording (`hall.0000`, `hall.0001` ...) as one recording, `hall`."""
+
+import dataclasses
+import os
+import time as clock
+import warnings
+
+from . import values
+from .binary import Damaged
+from .reader import AbandonedWarning, DeletedWarning, Store
+
+
+@dataclasses.dataclass
+class _Part:
+    """The messages of a stream in one segment. Messages from `until` on are hidden by a later run."""
+
+    segment: Store
+    number: int
+    run: str
+    stream: object
+    until: int = None
+
+
+class SegmentedStore:
+    """A recording in segments, over all runs of its recorder. It has the methods of `Store`.
+
+    Messages of a stream are in order of time. If a later run has recorded the same times again, or the clock was set
+    back, its messages replace those of earlier runs from its first message on.
+    """
+
+    def __init__(self, path):
+        self.path = path
+        self.name = os.path.basename(path)
+        self._segments, self._ignored, self._unreadable = {}, set(), {}
+        self._list_segments()
+        if not self._segments:
+            raise FileNotFoundError(f"no segments of {path}")
+
+    def __repr__(self):
+        return f"<situ.SegmentedStore {self.name!r} at {self.path!r}: {self.state}, {len(self._segments)} segments>"
+
+    def refresh(self):
+        """Reads newly committed messages and finds new segments. Returns whether there were any."""
+        before = list(self._segments)
+        changed = False
+        for number, segment in before and list(self._segments.items()):
+            if segment.closed:
+                continue
+            try:
+                changed = segment.refresh() or changed
+            except FileNotFoundError:
+                # It was deleted, which the list of segments shows.
+                pass
+        self._list_segments()
+        return changed or list(self._segments) != before
+
+    def _list_segments(self):
+        versions = list_versions(self.path)
+        self._segments = {number: store for number, store in self._segments.items() if number in versions}
+        self._unreadable = {number: why for number, why in self._unreadable.items() if number in versions}
+        for number, folder in versions.items():
+            if number in self._segments or number in self._ignored:
+                continue
+            try:
+                store = Store(folder)
+            except FileNotFoundError:
+                continue
+            except Damaged as error:
+                self._unreadable[number] = f"{os.path.basename(folder)} cannot be read: {error}"
+                continue
+            self._unreadable.pop(number, None)
+            if store.segment is not None:
+                self._segments[number] = store
+            elif store.streams or store.closed:
+                self._ignored.add(number)
+        self._segments = dict(sorted(self._segments.items()))
+
+    @property
+    def segments(self):
+        """The segments as a list of `Store`, oldest first."""
+        return list(self._segments.values())
+
+    @property
+    def streams(self):
+        """A dict from name to `Stream`. If a stream has had several types, the name belongs to the newest."""
+        found = {}
+        for name, parts in self._find_parts().items():
+            infos = [part.stream for part in parts]
+            written = [part for part in parts if part.stream.count > 0]
+            last = written[-1] if written else None
+            found[name] = dataclasses.replace(
+                infos[-1],
+                name=name,
+                count=sum(_count_visible(part) for part in parts),
+                first=written[0].stream.first if written else None,
+                last=last and (last.stream.last if last.until is None else last.until - 1),
+                closed=infos[-1].closed if self.state != "live" else None,
+                metadata=next((info.metadata for info in reversed(infos) if info.metadata is not None), None),
+            )
+        return found
+
+    def _find_parts(self):
+        """Returns a dict from the name of a stream to its parts in order of time."""
+        found, names, used = {}, {}, set()
+        for number, segment in reversed(self._segments.items()):
+            for stream in segment.streams.values():
+                key = (stream.name, stream.type)
+                if key not in names:
+                    names[key] = f"{stream.name} ({stream.type})" if stream.name in used else stream.name
+                    used.add(names[key])
+                part = _Part(segment, number, segment.segment.get("run"), stream)
+                found.setdefault(names[key], []).append(part)
+        return {name: _order_parts(parts[::-1]) for name, parts in sorted(found.items())}
+
+    @property
+    def closed(self):
+        """Whether the recorder has closed all segments."""
+        return all(segment.closed for segment in self.segments)
+
+    @property
+    def state(self):
+        """"live" while it is being written, "closed", or "abandoned" if a recorder exited without closing a segment."""
+        states = {segment.state for segment in self.segments}
+        return next(state for state in ("live", "abandoned", "closed") if state in states)
+
+    @property
+    def created(self):
+        """The creation time of the oldest segment in nanoseconds."""
+        return self.segments[0].created
+
+    @property
+    def damage(self):
+        """Descriptions of damaged parts that were skipped so far."""
+        found = [f"{os.path.basename(s.path)}: {sentence}" for s in self.segments for sentence in s.damage]
+        return found + list(self._unreadable.values())
+
+    def read(self, name, start=None, stop=None, follow=False, skip_damage=False):
+        """Yields the messages of a stream, as `Store.read` does.
+
+        With `follow=True`, it continues in new segments. If the recorder deletes a segment before it was read, the
+        iteration continues with the next one, after a `DeletedWarning`.
+        """
+        if name not in self._find_parts():
+            raise KeyError(f"unknown stream {name!r}; the streams are {sorted(self._find_parts())}")
+        last = None if start is None else start - 1
+        while True:
+            # Read the state before the messages: after the end, nothing follows.
+            state = self.state
+            try:
+                for message in self._read_parts(name, last, stop, skip_damage):
+                    last = message.time
+                    yield message
+            except FileNotFoundError as error:
+                numbers = set(self._segments)
+                self.refresh()
+                if numbers <= set(self._segments):
+                    raise
+                warnings.warn(f"{self.path}: messages were deleted before they were read ({error})", DeletedWarning, stacklevel=2)
+                continue
+            if not follow or state == "closed" or (stop is not None and last is not None and last >= stop):
+                return
+            if not self.refresh() and state != "live":
+                warnings.warn(f"{self.path}: the writer exited without closing it", AbandonedWarning, stacklevel=2)
+                return
+            if state == "live":
+                clock.sleep(0.02)
+
+    def _read_parts(self, name, last, stop, skip_damage):
+        for part in self._find_parts().get(name, []):
+            info = part.stream
+            if not info.count or (last is not None and info.last <= last) or (stop is not None and info.first > stop):
+                continue
+            limit = _limit(part, stop)
+            yield from part.segment.read(info.name, None if last is None else last + 1, limit, skip_damage=skip_damage)
+
+    def array(self, name, start=None, stop=None, skip_damage=False):
+        """Returns the times (int64) and values of a stream as two numpy arrays, as `Store.array` does."""
+        np = values.import_numpy()
+        if name not in self._find_parts():
+            raise KeyError(f"unknown stream {name!r}; the streams are {sorted(self._find_parts())}")
+        found = [
+            part.segment.array(part.stream.name, start, _limit(part, stop), skip_damage)
+            for part in self._find_parts()[name]
+            if part.stream.count
+        ]
+        found = [columns for columns in found if len(columns[0])]
+        if not found:
+            return np.array([], "i8"), np.array([])
+        return np.concatenate([times for times, _ in found]), np.concatenate([data for _, data in found])
+
+
+def _limit(part, stop):
+    if part.until is None:
+        return stop
+    return part.until - 1 if stop is None else min(stop, part.until - 1)
+
+
+def _count_visible(part):
+    if part.until is None:
+        return part.stream.count
+    return sum(1 for _ in part.segment.read(part.stream.name, stop=part.until - 1, skip_damage=True))
+
+
+def _order_parts(parts):
+    """Orders the parts by run and time. A later run hides messages of earlier runs at or after its first message."""
+    empty = [part for part in parts if not part.stream.count]
+    runs = {}
+    for part in _separate_unmarked([part for part in parts if part.stream.count]):
+        runs.setdefault(part.run, []).append(part)
+    ordered = []
+    for run in sorted(runs.values(), key=lambda parts: min(part.number for part in parts)):
+        for part in sorted(run, key=lambda part: part.stream.first):
+            while ordered and ordered[-1].run != part.run and ordered[-1].stream.last >= part.stream.first:
+                if ordered[-1].stream.first < part.stream.first:
+                    ordered[-1].until = part.stream.first
+                    break
+                ordered.pop()
+            ordered.append(part)
+    return empty + ordered if ordered else empty
+
+
+def _separate_unmarked(parts):
+    """Segments of earlier releases have no run. If they overlap, each of them counts as one."""
+    unmarked = sorted((part for part in parts if part.run is None), key=lambda part: part.stream.first)
+    if any(b.stream.first <= a.stream.last for a, b in zip(unmarked, unmarked[1:])):
+        for part in unmarked:
+            part.run = part.number
+    return parts
+
+
+def list_versions(path):
+    """Returns the folders of all versions of a name, by number."""
+    root, name = os.path.split(path)
+    root = root or "."
+    if not os.path.isdir(root):
+        return {}
+    prefix = name + "."
+    endings = [full[len(prefix) :] for full in os.listdir(root) if full.startswith(prefix)]
+    numbers = sorted(int(ending) for ending in endings if ending.isdigit() and 4 <= len(ending) <= 9)
+    return {number: os.path.join(root, f"{prefix}{number:04}") for number in numbers}
+
+
+def open_path(path):
+    """Opens a store's folder, all segments of `root/name`, or its newest version."""
+    if not os.path.exists(os.path.join(path, "index.situ")):
+        for folder in reversed(list_versions(path).values()):
+            try:
+                store = Store(folder)
+            except (FileNotFoundError, Damaged):
+                # A crash may have left a version without an index.
+                continue
+            return store if store.segment is None else SegmentedStore(path)
+        path = next(reversed(list_versions(path).values()), path)
+    return Store(path)
