@@ -17,8 +17,8 @@ defmodule Situ.Store.Catalog do
   @spec segment_record(map() | nil) :: map() | nil
   def segment_record(nil), do: nil
 
-  def segment_record(%{every: every, full?: full?, run: run}),
-    do: %{kind: "piece", every: every, full: full?, run: run}
+  def segment_record(%{full?: full?} = mark),
+    do: mark |> Map.take([:every, :run, :number]) |> Map.merge(%{kind: "piece", full: full?})
 
   @spec parse_records([binary()]) :: %__MODULE__{}
   def parse_records(records), do: Enum.reduce(records, %__MODULE__{}, &add_record/2)
@@ -92,12 +92,13 @@ defmodule Situ.Store.Catalog do
 
   defp apply_record(%{"kind" => "piece"} = r, catalog) do
     every = if is_integer(r["every"]) and r["every"] > 0, do: r["every"]
-    before = catalog.piece || %{every: nil, full?: false, run: nil}
+    before = catalog.piece || %{every: nil, full?: false, run: nil, number: nil}
 
     piece = %{
       every: every || before.every,
       full?: r["full"] == true or before.full?,
-      run: before.run || text_or_nil(r["run"])
+      run: before.run || text_or_nil(r["run"]),
+      number: before.number || if(is_integer(r["number"]), do: r["number"])
     }
 
     %{catalog | piece: piece}

@@ -17,7 +17,8 @@ defmodule Situ.Store.Rotation do
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `run`: distinguishes the segments of this run in their catalogs. `open`: the segments being written, by number. `closed`: the other segments, oldest first. `ended`: for segments
+  # `run`: distinguishes the segments of this run in their catalogs. `open`: the segments being written, by number. `closed`: the other segments, oldest
+  # first, which is not always the order in which they were created. `ended`: for segments
   # split by size, the time after their latest message. `jumped`: a segment that does not follow the previous one, and
   # the stream that began it.
   defstruct [
@@ -134,12 +135,18 @@ defmodule Situ.Store.Rotation do
 
     with {:ok, writer} <- Writer.create(state.name, state.root, state.opts),
          {:ok, _} <-
-           Writer.append_catalog(writer, %{kind: "piece", every: every, run: state.run}) do
+           Writer.append_catalog(writer, %{
+             kind: "piece",
+             every: every,
+             run: state.run,
+             number: number
+           }) do
       wake_readers(state.open)
 
       piece = %{
         writer: writer,
         path: writer.path,
+        order: {:this_run, number},
         # A segment that a stream has jumped to may be incomplete until another segment follows it.
         duration: if(jump?, do: 0, else: every),
         ended: nil,
@@ -195,7 +202,7 @@ defmodule Situ.Store.Rotation do
     %{
       state
       | open: open,
-        closed: Enum.sort_by([piece | state.closed], &Folder.version_number(&1.path)),
+        closed: Enum.sort_by([piece | state.closed], & &1.order),
         ended: Map.delete(state.ended, number),
         streams: Map.reject(state.streams, fn {{n, _}, _} -> n == number end)
     }
@@ -203,8 +210,7 @@ defmodule Situ.Store.Rotation do
 
   defp delete_surplus(state) do
     open =
-      for {_, piece} <-
-            Enum.sort_by(state.open, fn {_, piece} -> Folder.version_number(piece.path) end),
+      for {_, piece} <- Enum.sort(state.open),
           do: %{piece | size: Folder.total_size(piece.path)}
 
     {surplus, closed} =

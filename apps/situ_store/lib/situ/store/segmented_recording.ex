@@ -161,9 +161,20 @@ defmodule Situ.Store.SegmentedRecording do
 
   @impl true
   def latest_at(state, info, time) do
+    # The segments that are being written may have later messages than the table.
     with {:ok, table} <- PartReading.open_table(state),
-         :ok <- Index.call(state.key, :refresh),
-         do: PartReading.latest_at(state, table, info, time)
+         {:part, _} <- find_part(Index.fetch_parts(table, info.name), time + 1) do
+      PartReading.latest_at(state, table, info, time)
+    else
+      :none ->
+        :ok = Index.call(state.key, :refresh)
+
+        with {:ok, table} <- PartReading.open_table(state),
+             do: PartReading.latest_at(state, table, info, time)
+
+      error ->
+        error
+    end
   end
 
   @impl true

@@ -9,6 +9,7 @@ defmodule Situ.Store.Rotation.EarlierRuns do
 
   @type piece :: %{
           path: Path.t(),
+          order: {:earlier, non_neg_integer()},
           size: non_neg_integer(),
           duration: non_neg_integer() | nil,
           ended: integer() | nil
@@ -27,16 +28,27 @@ defmodule Situ.Store.Rotation.EarlierRuns do
         {path, store, piece, info}
       end
 
+    found = order_segments(found)
     ends = found |> Enum.drop(1) |> Enum.map(fn {_, _, _, info} -> info.created end)
 
-    for {{path, store, piece, _info}, ended} <- Enum.zip(found, ends ++ [wall]) do
+    for {{{path, store, piece, _info}, ended}, n} <-
+          Enum.with_index(Enum.zip(found, ends ++ [wall])) do
       %{
         path: path,
+        order: {:earlier, n},
         size: Folder.total_size(path),
         duration: segment_duration(piece, store),
         ended: if(ended in @first_set..wall, do: now - (wall - ended))
       }
     end
+  end
+
+  # If a stream was ahead of the others, its segment was created before theirs. Segments of earlier releases have no
+  # number, and are ordered by their creation.
+  defp order_segments(found) do
+    found
+    |> Enum.chunk_by(fn {_, _, piece, _} -> piece.run end)
+    |> Enum.flat_map(&Enum.sort_by(&1, fn {_, _, piece, _} -> piece.number end))
   end
 
   # The last segment of a run is incomplete, so its duration is the time span of its messages.

@@ -28,6 +28,25 @@ defmodule Situ.Store.SegmentedRecording.Contents do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
+  @doc "Returns whether all versions are known and none of them can change."
+  @spec settled?(t(), [{integer(), Path.t()}]) :: boolean()
+  def settled?(contents, folders) do
+    contents.unreadable == %{} and
+      Enum.all?(contents.segments, fn {_, segment} -> segment.reader == nil end) and
+      map_size(contents.segments) + map_size(contents.ignored) >= length(folders)
+  end
+
+  @doc "Notes the segments that have lost their names, because their compaction was interrupted."
+  @spec note_lost(t(), [Path.t()]) :: t()
+  def note_lost(contents, folders) do
+    lost = for folder <- folders, into: %{}, do: {folder, lost_sentence(folder)}
+    unreadable = Map.filter(contents.unreadable, fn {key, _} -> is_integer(key) end)
+    %{contents | unreadable: Map.merge(unreadable, lost)}
+  end
+
+  defp lost_sentence(folder),
+    do: "#{Path.basename(folder)} has lost its name; `situ store repair` restores it"
+
   @doc "Returns the segments, oldest first."
   @spec list_segments(t()) :: [Segment.t()]
   def list_segments(contents),

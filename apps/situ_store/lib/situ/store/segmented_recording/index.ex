@@ -8,7 +8,7 @@ defmodule Situ.Store.SegmentedRecording.Index do
   # at the end of the messages that they know, and for counts.
   use GenServer, restart: :temporary
   alias Situ.Error
-  alias Situ.Store.{Folder, NativeErrors, NativeFormat}
+  alias Situ.Store.{Folder, NativeErrors, NativeFormat, Replacement}
   alias Situ.Store.SegmentedRecording.{Contents, Scan, Waiting}
   require Logger
 
@@ -16,12 +16,23 @@ defmodule Situ.Store.SegmentedRecording.Index do
   @supervisor Situ.Store.SegmentedRecording.Supervisor
   @idle_ms :timer.minutes(10)
   # So many closed segments stay open for reading.
-  @most_open 64
+  @most_open 256
 
   @typedoc "The name of a recording, its folder, and the options for opening its segments."
   @type key :: {name :: String.t(), root :: Path.t(), opts :: keyword()}
 
-  defstruct [:key, :table, :epoch, :contents, owners: %{}, opened: :queue.new(), waiting: nil]
+  # `names`: the entries of the folder. `folders`: the versions of the recording's name.
+  defstruct [
+    :key,
+    :table,
+    :epoch,
+    :contents,
+    names: nil,
+    folders: [],
+    owners: %{},
+    opened: :queue.new(),
+    waiting: nil
+  ]
 
   @doc false
   @spec child_specs() :: [Supervisor.child_spec() | {module(), keyword()}]
@@ -188,7 +199,7 @@ defmodule Situ.Store.SegmentedRecording.Index do
   end
 
   defp replaced?(%{reader: nil} = segment),
-    do: File.dir?(segment.path) and segment.stamp != Scan.index_stamp(segment.path)
+    do: Scan.index_stamp(segment.path) not in [segment.stamp, nil]
 
   defp replaced?(_being_written), do: false
 
@@ -245,14 +256,29 @@ defmodule Situ.Store.SegmentedRecording.Index do
 
   def handle_info(_other, state), do: {:noreply, state, @idle_ms}
 
-  defp refresh(%{key: {name, root, opts}} = state, dense?) do
+  # Listing the folder is enough if nothing in it has changed and no segment is being written.
+  defp refresh(%{key: {_, root, _}} = state, dense?) do
+    names = with {:error, _} <- File.ls(root), do: []
+    same? = names == state.names and not dense?
+
+    if same? and Contents.settled?(state.contents, state.folders),
+      do: state,
+      else: scan(list_folders(%{state | names: names}, same?), dense?)
+  end
+
+  defp list_folders(state, true), do: state
+
+  defp list_folders(%{key: {name, root, _}} = state, false) do
     folders =
       for path <- Folder.list_versions(name, root), do: {Folder.version_number(path), path}
 
+    lost = Replacement.list_interrupted(Path.join(root, name))
+    %{state | folders: folders, contents: Contents.note_lost(state.contents, lost)}
+  end
+
+  defp scan(%{key: {name, _, opts}, folders: folders} = state, dense?) do
     {contents, changed} = Scan.update(state.contents, folders, opts, dense?)
     if not dense?, do: warn_of_unseen(name, Scan.count_unseen(state.contents, contents, folders))
-
-    contents = Scan.note_lost(contents, Path.join(root, name))
 
     # A segment was repaired that could not be read before. Its messages precede others.
     if not dense? and Scan.out_of_order?(state.contents, contents),

@@ -156,10 +156,7 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
   @spec latest_at(map(), :ets.table(), map(), Situ.Time.t()) ::
           {:ok, Situ.Message.t() | nil} | {:error, Situ.Error.t()}
   def latest_at(state, table, info, time) do
-    parts =
-      for part <- Tuple.to_list(Index.fetch_parts(table, info.name)), part.first <= time, do: part
-
-    case List.last(parts) do
+    case table |> Index.fetch_parts(info.name) |> Timeline.find_latest(time) do
       nil ->
         {:ok, nil}
 

@@ -2,7 +2,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   @moduledoc false
   # Brings an index up to date with the folder: finds new segments, reads the statistics of those that are being
   # written, and removes those that were deleted.
-  alias Situ.Store.{NativeFormat, Replacement, SegmentedRecording}
+  alias Situ.Store.{NativeFormat, SegmentedRecording}
   alias Situ.Store.SegmentedRecording.{Contents, Timeline}
   alias Situ.Store.SegmentedRecording.Contents.Segment
   alias Situ.Store.SegmentedRecording.Timeline.Part
@@ -57,29 +57,21 @@ defmodule Situ.Store.SegmentedRecording.Scan do
       end)
   end
 
-  @doc "Notes the segments that have lost their names, because their compaction was interrupted."
-  @spec note_lost(Contents.t(), Path.t()) :: Contents.t()
-  def note_lost(contents, path) do
-    lost =
-      for folder <- Replacement.list_interrupted(path),
-          into: %{},
-          do: {folder, lost_sentence(folder)}
-
-    unreadable = Map.filter(contents.unreadable, fn {key, _} -> is_integer(key) end)
-    %{contents | unreadable: Map.merge(unreadable, lost)}
-  end
-
-  defp lost_sentence(folder),
-    do: "#{Path.basename(folder)} has lost its name; `situ store repair` restores it"
-
   defp changed_streams(before, contents) do
     for {name, timeline} <- contents.timelines, before.timelines[name] != timeline, do: name
   end
 
   defp remove_deleted(contents, folders) do
     gone = for {number, _} <- contents.segments, not is_map_key(folders, number), do: number
-    unreadable = Map.filter(contents.unreadable, fn {key, _} -> is_map_key(folders, key) end)
-    Enum.reduce(gone, %{contents | unreadable: unreadable}, &remove_segment/2)
+
+    unreadable =
+      Map.filter(contents.unreadable, fn {key, _} ->
+        is_binary(key) or is_map_key(folders, key)
+      end)
+
+    ignored = Map.filter(contents.ignored, fn {key, _} -> is_map_key(folders, key) end)
+    contents = %{contents | unreadable: unreadable, ignored: ignored}
+    Enum.reduce(gone, contents, &remove_segment/2)
   end
 
   # The files of a deleted segment can still be read through its reader. Its last messages have ordinals, too.

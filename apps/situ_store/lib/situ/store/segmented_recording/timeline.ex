@@ -92,6 +92,15 @@ defmodule Situ.Store.SegmentedRecording.Timeline do
   @spec find_time(tuple(), Situ.Time.t()) :: non_neg_integer()
   def find_time(parts, time), do: search(parts, &(&1.last < time))
 
+  @doc "Returns the last part that begins at or before a time, or `nil`."
+  @spec find_latest(tuple(), Situ.Time.t()) :: Part.t() | nil
+  def find_latest(parts, time) do
+    case search(parts, &(&1.first <= time)) do
+      0 -> nil
+      n -> elem(parts, n - 1)
+    end
+  end
+
   # Returns the number of parts at the beginning for which `before?` is true.
   defp search(parts, before?), do: search(parts, before?, 0, tuple_size(parts))
   defp search(_parts, _before?, low, low), do: low
