@@ -36,6 +36,7 @@ defmodule Situ.Store do
   alias Situ.Recording.Formats
 
   alias Situ.Store.{
+    Compaction,
     Copying,
     Editing,
     Exporter,
@@ -410,10 +411,10 @@ defmodule Situ.Store do
   names, the old store may remain as `NAME.before-compaction`, and `repair/2` restores it. Damage is an error unless
   `skip_damage: true` is given. The segments of a segmented recording are rewritten one by one and remain segments.
 
-  #{Options.docs(Copying.compact_options())}
+  #{Options.docs(Compaction.compact_options())}
   """
   @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
-  defdelegate compact(path, opts \\ []), to: Copying
+  defdelegate compact(path, opts \\ []), to: Compaction
 
   @doc """
   Copies an interval: `from:` and `to:` (times), or `start:` and `length:`. Takes these options and those of `copy/3`.

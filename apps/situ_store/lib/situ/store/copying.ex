@@ -11,15 +11,13 @@ defmodule Situ.Store.Copying do
   alias Situ.Recording.Formats
 
   alias Situ.Store.{
-    Catalog,
     Draft,
     NativeErrors,
-    NativeFormat,
     Folder,
     Query,
-    SegmentedRecording,
     Segments,
     StreamInfo,
+    Transfer,
     Writer
   }
 
@@ -64,22 +62,11 @@ defmodule Situ.Store.Copying do
     ],
     length: [type: :non_neg_integer, doc: "Length in ns, instead of `to:`."]
   ]
-  @compact_options @options
-                   |> Keyword.take([:compression, :progress, :durability])
-                   |> Keyword.put(:skip_damage,
-                     type: :boolean,
-                     default: false,
-                     doc: "Skip damaged chunks."
-                   )
-
   @spec copy_options() :: Situ.Options.schema()
   def copy_options, do: @options
 
   @spec interval_options() :: Situ.Options.schema()
   def interval_options, do: @interval_options
-
-  @spec compact_options() :: Situ.Options.schema()
-  def compact_options, do: @compact_options
 
   @spec copy(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -94,68 +81,6 @@ defmodule Situ.Store.Copying do
 
   @earliest -0x8000000000000000
   @latest 0x7FFFFFFFFFFFFFFF
-
-  @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def compact(path, opts \\ []) do
-    opts = Keyword.put_new(opts, :durability, {:interval, 10_000})
-
-    with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
-         {:ok, store} <- open_own_store(path) do
-      if store.module == SegmentedRecording,
-        do: compact_segments(store.path, Segments.list_folders(store.path), opts),
-        else: compact_folder(store.path, opts)
-    end
-  end
-
-  # The progress of a segment continues that of the segments before it.
-  defp compact_segments(path, folders, opts) do
-    with {:ok, stores} <- Error.map_ok(folders, &open_own_store/1) do
-      totals =
-        for store <- stores, do: store |> Query.streams() |> Enum.map(& &1.count) |> Enum.sum()
-
-      total = Enum.sum(totals)
-      progress = opts[:progress] || fn _, _ -> :ok end
-
-      folders
-      |> Enum.zip(Enum.scan([0 | totals], &+/2))
-      |> Error.map_ok(fn {folder, before} ->
-        report = fn done, _ -> progress.(before + done, total) end
-        compact_folder(folder, Keyword.put(opts, :progress, report))
-      end)
-      |> case do
-        {:ok, _} -> {:ok, path}
-        error -> error
-      end
-    end
-  end
-
-  # A segment remains a segment.
-  defp compact_folder(folder, opts) do
-    with {:ok, store} <- Query.open(folder) do
-      parts = for source <- list_sources(store), do: {elem(source, 1), [source]}
-      mark = Catalog.segment_record(Query.info(store).piece)
-
-      build_store({Folder.store_name(folder), Path.dirname(folder)}, parts, [
-        {:replace, folder},
-        {:record, mark} | opts
-      ])
-    end
-  end
-
-  defp open_own_store(path) do
-    with {:ok, store} <- Query.open(path) do
-      cond do
-        store.module not in [NativeFormat, SegmentedRecording] ->
-          {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
-
-        Query.live?(store) ->
-          {:error, NativeErrors.to_error(:locked, store.path)}
-
-        true ->
-          {:ok, store}
-      end
-    end
-  end
 
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
@@ -323,8 +248,15 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  # `parts` pairs each stream of the new store with the sources of its messages.
-  defp build_store(to, parts, opts) do
+  @doc false
+  # `parts` pairs each stream of the new store with the sources of its messages. The option `record:` is a record for
+  # its catalog.
+  @spec build_store(
+          Path.t() | {String.t(), Path.t()},
+          [{StreamInfo.t(), [Transfer.source()]}],
+          keyword()
+        ) :: {:ok, Path.t()} | {:error, Error.t()}
+  def build_store(to, parts, opts) do
     infos = for {_, sources} <- parts, {_, info} <- sources, do: info
     report = progress_reporter(infos, opts)
 

@@ -17,10 +17,10 @@ defmodule Situ.Store.Rotation do
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `run`: distinguishes the segments of this run in their catalogs. `open`: the segments being written, by number. `closed`: the other segments, oldest
-  # first, which is not always the order in which they were created. `ended`: for segments
-  # split by size, the time after their latest message. `jumped`: a segment that does not follow the previous one, and
-  # the stream that began it.
+  # `run`: distinguishes the segments of this run in their catalogs. `open`: the segments being written, by number.
+  # `closed`: the other segments, oldest first, which is not always the order in which they were created. `ended`: for
+  # segments split by size, the time after their latest message. `jumped`: a segment that does not follow the previous
+  # one, and the stream that began it.
   defstruct [
     :name,
     :root,

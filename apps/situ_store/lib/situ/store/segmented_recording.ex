@@ -10,7 +10,7 @@ defmodule Situ.Store.SegmentedRecording do
   @behaviour Situ.Recording
   alias Situ.Recording
   alias Situ.Store.{NativeErrors, NativeFormat, StreamInfo}
-  alias Situ.Store.SegmentedRecording.{Contents, Index, PartReading, Summaries, Timeline}
+  alias Situ.Store.SegmentedRecording.{Contents, Index, PartReading, Summaries}
 
   @enforce_keys [:key, :epoch, :first]
   defstruct [:key, :epoch, :first, origin: %{}]
@@ -133,49 +133,12 @@ defmodule Situ.Store.SegmentedRecording do
 
   @impl true
   def seek(state, info, time) do
-    with {:ok, table} <- PartReading.open_table(state),
-         {:ok, ordinal} <- seek_part(state, table, info, time),
+    with {:ok, ordinal} <- PartReading.seek(state, info, time),
          do: {:ok, max(ordinal - PartReading.origin(state, info), 0)}
   end
 
-  defp seek_part(state, table, info, time) do
-    case find_time(state, table, info, time) do
-      {:part, part} -> PartReading.seek(state, table, {info, part}, time)
-      {:end, ordinal} -> {:ok, ordinal}
-    end
-  end
-
-  # The segments that are being written may have later messages than the table.
-  defp find_time(state, table, info, time) do
-    with :none <- find_part(Index.fetch_parts(table, info.name), time),
-         :ok <- Index.call(state.key, :refresh),
-         :none <- find_part(Index.fetch_parts(table, info.name), time) do
-      {:end, Index.call(state.key, {:next_ordinal, info.name})}
-    end
-  end
-
-  defp find_part(parts, time) do
-    index = Timeline.find_time(parts, time)
-    if index < tuple_size(parts), do: {:part, elem(parts, index)}, else: :none
-  end
-
   @impl true
-  def latest_at(state, info, time) do
-    # The segments that are being written may have later messages than the table.
-    with {:ok, table} <- PartReading.open_table(state),
-         {:part, _} <- find_part(Index.fetch_parts(table, info.name), time + 1) do
-      PartReading.latest_at(state, table, info, time)
-    else
-      :none ->
-        :ok = Index.call(state.key, :refresh)
-
-        with {:ok, table} <- PartReading.open_table(state),
-             do: PartReading.latest_at(state, table, info, time)
-
-      error ->
-        error
-    end
-  end
+  def latest_at(state, info, time), do: PartReading.latest_at(state, info, time)
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
@@ -282,9 +245,4 @@ defmodule Situ.Store.SegmentedRecording do
          {:ok, reader, _infos} <- Index.fetch_segment(state.key, table, part.number),
          do: {:ok, %Recording{path: reader.path, module: NativeFormat, state: reader}}
   end
-
-  @doc "Returns an open reader of a segment."
-  @spec reader_of(Contents.Segment.t()) :: {:ok, struct()} | {:error, Situ.Error.t()}
-  def reader_of(%{reader: nil, path: path}), do: NativeFormat.open(path, [])
-  def reader_of(%{reader: reader}), do: {:ok, reader}
 end

@@ -29,8 +29,8 @@ defmodule Situ.Store.SegmentedRecording.Contents do
   def new, do: %__MODULE__{}
 
   @doc "Returns whether all versions are known and none of them can change."
-  @spec settled?(t(), [{integer(), Path.t()}]) :: boolean()
-  def settled?(contents, folders) do
+  @spec unchanging?(t(), [{integer(), Path.t()}]) :: boolean()
+  def unchanging?(contents, folders) do
     contents.unreadable == %{} and
       Enum.all?(contents.segments, fn {_, segment} -> segment.reader == nil end) and
       map_size(contents.segments) + map_size(contents.ignored) >= length(folders)

@@ -261,7 +261,7 @@ defmodule Situ.Store.SegmentedRecording.Index do
     names = with {:error, _} <- File.ls(root), do: []
     same? = names == state.names and not dense?
 
-    if same? and Contents.settled?(state.contents, state.folders),
+    if same? and Contents.unchanging?(state.contents, state.folders),
       do: state,
       else: scan(list_folders(%{state | names: names}, same?), dense?)
   end

@@ -139,39 +139,65 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
     )
   end
 
-  @doc "Returns the index's ordinal of the first message of a part at or after a time."
-  @spec seek(map(), :ets.table(), {map(), Timeline.Part.t()}, Situ.Time.t()) ::
-          {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
-  def seek(state, table, {info, part}, time) do
+  @doc "Returns the index's ordinal of the first message at or after a time, or the next ordinal."
+  @spec seek(map(), map(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
+  def seek(state, info, time) do
+    with {:ok, table} <- open_table(state),
+         {:part, part} <- find_time(state, table, info, time) do
+      seek_part(state, table, {info, part}, time)
+    else
+      :none -> {:ok, Index.call(state.key, {:next_ordinal, info.name})}
+      error -> error
+    end
+  end
+
+  defp seek_part(state, table, {info, part}, time) do
     with {:ok, {reader, part_info}} <- open_part(state, table, info, part),
          {:ok, local} <- NativeFormat.seek(reader, part_info, time) do
-      {:ok, part.base + min(local, max(part.count, if(part.until, do: 0, else: local)))}
+      {:ok, part.base + if(part.until, do: min(local, part.count), else: local)}
     else
       :deleted -> {:ok, part.base + part.count}
       error -> error
     end
   end
 
+  # The segments that are being written may have later messages than the table.
+  defp find_time(state, table, info, time) do
+    with :none <- find_part(Index.fetch_parts(table, info.name), time),
+         :ok <- Index.call(state.key, :refresh),
+         do: find_part(Index.fetch_parts(table, info.name), time)
+  end
+
+  defp find_part(parts, time) do
+    index = Timeline.find_time(parts, time)
+    if index < tuple_size(parts), do: {:part, elem(parts, index)}, else: :none
+  end
+
   @doc "Returns the last message at or before a time, or `nil`."
-  @spec latest_at(map(), :ets.table(), map(), Situ.Time.t()) ::
+  @spec latest_at(map(), map(), Situ.Time.t()) ::
           {:ok, Situ.Message.t() | nil} | {:error, Situ.Error.t()}
-  def latest_at(state, table, info, time) do
-    case table |> Index.fetch_parts(info.name) |> Timeline.find_latest(time) do
-      nil ->
-        {:ok, nil}
+  def latest_at(state, info, time) do
+    with {:ok, table} <- open_table(state) do
+      _ = find_time(state, table, info, time + 1)
 
-      part ->
-        time = visible_limit(part, time)
+      case table |> Index.fetch_parts(info.name) |> Timeline.find_latest(time) do
+        nil -> {:ok, nil}
+        part -> latest_in_part(state, table, {info, part}, time)
+      end
+    end
+  end
 
-        with {:ok, {reader, part_info}} <- open_part(state, table, info, part),
-             {:ok, local} <- NativeFormat.seek(reader, part_info, time + 1),
-             {:ok, messages, _} <-
-               NativeFormat.read(reader, part_info, max(local - 1, 0), time, 1, exact: true) do
-          {:ok, messages |> List.first() |> put_source(info.id)}
-        else
-          :deleted -> {:ok, nil}
-          error -> error
-        end
+  defp latest_in_part(state, table, {info, part}, time) do
+    time = visible_limit(part, time)
+
+    with {:ok, {reader, part_info}} <- open_part(state, table, info, part),
+         {:ok, local} <- NativeFormat.seek(reader, part_info, time + 1),
+         first = max(local - 1, 0),
+         {:ok, messages, _} <- NativeFormat.read(reader, part_info, first, time, 1, exact: true) do
+      {:ok, messages |> List.first() |> put_source(info.id)}
+    else
+      :deleted -> {:ok, nil}
+      error -> error
     end
   end
 

@@ -2,7 +2,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   @moduledoc false
   # Brings an index up to date with the folder: finds new segments, reads the statistics of those that are being
   # written, and removes those that were deleted.
-  alias Situ.Store.{NativeFormat, SegmentedRecording}
+  alias Situ.Store.NativeFormat
   alias Situ.Store.SegmentedRecording.{Contents, Timeline}
   alias Situ.Store.SegmentedRecording.Contents.Segment
   alias Situ.Store.SegmentedRecording.Timeline.Part
@@ -286,11 +286,14 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   defp count_before(contents, name, part, time) do
     segment = contents.segments[part.number]
 
-    with {:ok, reader} <- SegmentedRecording.reader_of(segment),
+    with {:ok, reader} <- open_reader(segment),
          {:ok, ordinal} <- NativeFormat.seek(reader, segment.infos[name], time),
          do: min(ordinal, part.count),
          else: (_ -> part.count)
   end
+
+  defp open_reader(%{reader: nil, path: path}), do: NativeFormat.open(path, [])
+  defp open_reader(%{reader: reader}), do: {:ok, reader}
 
   # Streams may have begun while the segments were read.
   defp complete?(contents, number) do

@@ -3,8 +3,8 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
   # Merges the summaries of the segments of a recording. Bins of neighbouring segments may be the same bin.
   import Bitwise
   alias Situ.Recording
-  alias Situ.Store.{Native, NativeFormat, SegmentedRecording}
-  alias Situ.Store.SegmentedRecording.{Index, PartReading}
+  alias Situ.Store.{Native, NativeFormat}
+  alias Situ.Store.SegmentedRecording.{Index, PartReading, Visible}
   alias Situ.Store.Summary.{Bins, Fold}
 
   @doc "Works like `c:Situ.Recording.summary/5`."
@@ -74,7 +74,7 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
 
   defp merge_tracks(state, info, parts, {from, to, level, most} = span) do
     with {:ok, found} <- Situ.Error.map_ok(parts, &read_part(&1, span, most)),
-         {:ok, before} <- SegmentedRecording.latest_at(state, info, from) do
+         {:ok, before} <- PartReading.latest_at(state, info, from) do
       keys =
         for({_, tracks} <- found, {key, track} <- tracks, do: {key, kind(track)}) |> Enum.uniq()
 
@@ -96,7 +96,7 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
   end
 
   defp read_part({_part, {reader, info}, until}, {from, to, level, _}, most) do
-    store = %{as_recording(reader) | module: SegmentedRecording.Visible, state: {reader, until}}
+    store = %{as_recording(reader) | module: Visible, state: {reader, until}}
 
     with {:ok, counts, tracks} <- Fold.fold_tracks(store, info, from, to, level, most),
          do: {:ok, {counts, tracks}}
@@ -151,7 +151,7 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
   defp part_states({{_, {reader, info}, until}, {:changes, _}}, key, {from, to, level, _}) do
     store =
       if until,
-        do: %{as_recording(reader) | module: SegmentedRecording.Visible, state: {reader, until}},
+        do: %{as_recording(reader) | module: Visible, state: {reader, until}},
         else: as_recording(reader)
 
     {:ok, _counts, tracks} = Fold.fold_tracks(store, info, from, to, level, -1)

@@ -1,10 +1,11 @@
 defmodule Situ.Store.SegmentedRecording.Waiting do
   @moduledoc false
   # The processes that wait for new messages of a segmented recording. The index waits for all segments that are being
-  # written, and answers all of them when there is news.
+  # written, and replies to all of them when one has new messages.
   alias Situ.Store.NativeFormat
 
-  # `version` counts the news. `seen`: the known entries of each segment. `asked`: the segments that will send a message.
+  # `version` counts the events. `seen`: the known entries of each segment. `asked`: the segments that will send a
+  # message.
   defstruct version: 1, seen: %{}, asked: MapSet.new(), waiters: []
   @type t :: %__MODULE__{}
   @type waiter :: {known :: non_neg_integer(), pid(), tag :: term()}
