@@ -376,8 +376,8 @@ defmodule Situ.Store do
   defdelegate repair(path, opts \\ []), to: Maintenance
 
   @doc """
-  Deletes a store's files, and its folder if it contains nothing else. Of a segmented recording, deletes all segments,
-  the oldest first. Fails while the store is being written.
+  Deletes a store's files, and its folder if it contains nothing else. Deletes all segments of a segmented
+  recording, the oldest first. Fails while the store is being written.
   """
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   defdelegate delete(path), to: Maintenance

@@ -37,7 +37,7 @@ defmodule Situ.Store.Compaction do
     end
   end
 
-  # The progress of a segment continues that of the segments before it.
+  # The progress counts the messages of all segments.
   defp compact_segments(path, folders, opts) do
     with {:ok, stores} <- Error.map_ok(folders, &open_own_store/1) do
       totals =

@@ -46,15 +46,22 @@ defmodule Situ.Store.Draft do
 
   # The creator of a draft holds its lock until the store has its name, so that no other program deletes the draft.
   defp claim_draft(base) do
-    draft =
-      "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished_suffix()}"
+    draft = unfinished_path(base)
 
     with :ok <- Folder.make_parents(base),
          {:ok, lock} <- FileLock.acquire(lock_path(draft)),
          do: {:ok, draft, lock}
   end
 
-  defp lock_path(draft), do: draft <> ".lock"
+  @doc "Returns a new name for an unfinished folder."
+  @spec unfinished_path(Path.t()) :: Path.t()
+  def unfinished_path(base),
+    do:
+      "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished_suffix()}"
+
+  @doc "Returns the path of the lock of an unfinished folder. Only the holder of the lock may change the folder."
+  @spec lock_path(Path.t()) :: Path.t()
+  def lock_path(draft), do: draft <> ".lock"
 
   defp write_draft(draft, name, opts, work) do
     options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
@@ -114,7 +121,9 @@ defmodule Situ.Store.Draft do
 
   defp explain_error(result), do: result
 
-  defp delete_abandoned(base) do
+  @doc "Deletes the unfinished folders of a name whose programs were killed."
+  @spec delete_abandoned(Path.t()) :: :ok
+  def delete_abandoned(base) do
     prefix = Path.basename(base) <> "."
 
     drafts =
@@ -131,6 +140,8 @@ defmodule Situ.Store.Draft do
       _ = if File.dir?(path), do: Folder.remove_store(path)
       FileLock.release(lock)
     end
+
+    :ok
   end
 
   # Drafts of older releases have only the writer's lock.

@@ -5,7 +5,8 @@ defmodule Situ.Store.Maintenance do
   alias Situ.Recording
 
   alias Situ.Store.{
-    AtomicFile,
+    Deletion,
+    Draft,
     Folder,
     Native,
     NativeErrors,
@@ -205,28 +206,11 @@ defmodule Situ.Store.Maintenance do
   def delete(path) do
     path = Path.expand(path)
 
+    Draft.delete_abandoned(path)
+
     with :ok <- check_renaming(path),
          {:ok, folders} <- resolve_folders(path),
-         do: Enum.find_value(folders, :ok, &find_error(delete_folder(&1)))
-  end
-
-  # The store disappears in one step. If the program is killed after that, the next one that creates a store of this
-  # name deletes the files.
-  defp delete_folder(folder) do
-    hidden =
-      "#{folder}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished_suffix()}"
-
-    if Folder.version_number(folder) != nil and AtomicFile.rename_synced(folder, hidden) == :ok do
-      with :ok <- Folder.remove_store(hidden), do: keep_other_files(hidden, folder)
-    else
-      Folder.remove_store(folder)
-    end
-  end
-
-  # The folder may contain a user's own files.
-  defp keep_other_files(hidden, folder) do
-    _ = if File.dir?(hidden), do: File.rename(hidden, folder)
-    :ok
+         do: Enum.find_value(folders, :ok, &find_error(Deletion.delete_folder(&1)))
   end
 
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}

@@ -11,7 +11,7 @@ defmodule Situ.Store.Rotation do
   # recordings of that name.
   # See docs/adr/0132-long-recordings-are-split-into-segments.md.
   use GenServer
-  alias Situ.Store.{Folder, Maintenance, Writer}
+  alias Situ.Store.{Draft, Folder, Maintenance, Writer}
   alias Situ.Store.Rotation.{SplitPoint, EarlierRuns, Retention}
   require Logger
 
@@ -72,6 +72,7 @@ defmodule Situ.Store.Rotation do
   def handle_continue(:find_earlier, %{keep: nil} = state), do: {:noreply, state}
 
   def handle_continue(:find_earlier, state) do
+    Draft.delete_abandoned(Path.join(state.root, state.name))
     earlier = EarlierRuns.list_segments(state.name, state.root, monotonic_ns(), Situ.Time.now())
     {:noreply, %{state | closed: earlier}}
   end

@@ -1,7 +1,7 @@
 defmodule Situ.Store.SegmentedRecording do
   @moduledoc false
   # Reads the segments of a recording (`hall.0000`, `hall.0001` ...) as one recording, `hall`. Implements the behaviour
-  # of recordings over the readers of the segments, and opens only those that a request needs.
+  # of recordings over the readers of the segments, and opens only the segments that a request needs.
   # `Situ.Store.SegmentedRecording.Index` knows which messages are in which segment.
   #
   # Ordinals count from the first message that existed when the recording was opened. They do not change while the

@@ -1,7 +1,7 @@
 defmodule Situ.Store.Segments do
   @moduledoc false
   # Finds the segments of a segmented recording: the versions of a name that are marked as segments in their catalogs.
-  # Other versions of the name are recordings of their own.
+  # Other versions of the name are separate recordings.
   # See docs/adr/0168-segments-of-a-name-are-one-recording.md.
   alias Situ.Store.{Folder, NativeFormat}
 

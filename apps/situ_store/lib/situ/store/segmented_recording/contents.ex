@@ -7,7 +7,7 @@ defmodule Situ.Store.SegmentedRecording.Contents do
   defmodule Segment do
     @moduledoc false
     # One segment. `infos` are its streams by their names in the recording. `reader` is `nil` for a segment that will
-    # not change. `stamp` tells whether its files were replaced.
+    # not change. `stamp` changes if its files are replaced.
     @enforce_keys [:number, :path, :run, :info, :reader, :stamp]
     defstruct [:number, :path, :run, :info, :reader, :stamp, infos: %{}, missing: []]
     @type t :: %__MODULE__{}

@@ -209,9 +209,9 @@ defmodule Situ.Store.SegmentedRecording.Index do
     put_contents(state, contents, changed)
   end
 
-  defp reply(answer, state), do: {:reply, answer, state, @idle_ms}
+  defp reply(result, state), do: {:reply, result, state, @idle_ms}
 
-  # A closed segment is opened again, and the one that has been open longest is closed.
+  # A closed segment is opened again, and the segment that has been open longest is closed.
   defp open_again(segment, %{key: {_, _, opts}} = state) do
     case NativeFormat.open(segment.path, opts) do
       {:ok, reader} ->

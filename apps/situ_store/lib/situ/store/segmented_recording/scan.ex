@@ -1,7 +1,7 @@
 defmodule Situ.Store.SegmentedRecording.Scan do
   @moduledoc false
-  # Brings an index up to date with the folder: finds new segments, reads the statistics of those that are being
-  # written, and removes those that were deleted.
+  # Brings an index up to date with the folder: finds new segments, reads the statistics of segments that are
+  # being written, and removes deleted segments.
   alias Situ.Store.NativeFormat
   alias Situ.Store.SegmentedRecording.{Contents, Timeline}
   alias Situ.Store.SegmentedRecording.Contents.Segment
@@ -46,7 +46,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
       else: newest - known - Enum.count(folders, fn {n, _} -> n > known and n <= newest end)
   end
 
-  @doc "Returns whether a new segment is older than one that was known before."
+  @doc "Returns whether a new segment is older than a segment that was known before."
   @spec out_of_order?(Contents.t(), Contents.t()) :: boolean()
   def out_of_order?(before, contents) do
     known = before.segments |> Map.keys() |> Enum.max(fn -> nil end)

@@ -16,7 +16,7 @@ defmodule Situ.Store.SegmentedRecording.Waiting do
   @spec empty?(t()) :: boolean()
   def empty?(%{waiters: waiters}), do: waiters == []
 
-  @doc "Adds a process, or answers it at once. `live` are the segments that are being written."
+  @doc "Adds a process, or replies immediately. `live` are the segments that are being written."
   @spec add(t(), waiter(), [{integer(), struct()}]) :: t()
   def add(%{version: version} = waiting, {known, pid, tag}, _live) when version > known do
     send(pid, {:situ_store, tag, {:published, version}})
@@ -50,7 +50,7 @@ defmodule Situ.Store.SegmentedRecording.Waiting do
     %{waiting | version: waiting.version + 1, seen: seen, asked: asked}
   end
 
-  @doc "Answers all processes."
+  @doc "Replies to all processes."
   @spec reply(t(), live? :: boolean()) :: t()
   def reply(waiting, live?) do
     event = if live?, do: :published, else: :ended
