@@ -3,6 +3,7 @@ defmodule Situ.Link.RecordingTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   import Situ.Test.LinkRecordings
+  import Situ.Test.SegmentFiles
   alias Situ.{Message, Link, Store}
   alias Situ.Link.Server
   alias Situ.Store.{Summary, Writer}
@@ -50,6 +51,30 @@ defmodule Situ.Link.RecordingTest do
 
   # A message's source is a number within its own recording.
   defp plain(messages), do: for(m <- messages, do: %{m | source_id: 0})
+
+  test "a recording in segments is one recording, whose ordinals stay the same", %{
+    root: root,
+    path: path
+  } do
+    for first <- [1, 11, 21], do: write_segment(root, "lobby", %{"n" => first..(first + 8)})
+    server = serve(path)
+    here = Store.open!(path)
+    there = server |> address() |> Store.open!()
+    assert [%{name: "n", count: 27, first: 1, last: 29}] = Store.streams(there)
+
+    assert plain(Enum.to_list(Store.messages(there, "n"))) ==
+             plain(Enum.to_list(Store.messages(here, "n")))
+
+    assert Summary.read(there, "n", 1, 29, 5) == Summary.read(here, "n", 1, 29, 5)
+    assert {:ok, 12} = Store.ordinal(there, "n", 14)
+    :ok = Store.delete(path <> ".0000")
+    write_segment(root, "lobby", %{"n" => 31..39, "late" => [31]})
+    assert {:ok, 12} = Store.ordinal(there, "n", 14)
+    assert Store.has_stream?(there, "late")
+    assert {:ok, %{data: 39}} = Store.at(there, "n", -1)
+    # A client that connects later sees the same ordinals.
+    assert {:ok, 12} = server |> address() |> Store.open!() |> Store.ordinal("n", 14)
+  end
 
   test "every request to a recording returns the same as locally", %{root: root, path: path} do
     here = Store.open!(recorded(root))

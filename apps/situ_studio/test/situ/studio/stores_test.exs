@@ -1,7 +1,10 @@
 defmodule Situ.Studio.StoresTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
+  import Situ.Test.SegmentFiles
   alias Situ.Store.Writer
-  alias Situ.Studio.Stores
+  alias Situ.Studio.{Recordings, Stores}
+  alias Situ.Studio.Datasets.Summary
 
   defp record(name, folder) do
     File.mkdir_p!(folder)
@@ -30,6 +33,34 @@ defmodule Situ.Studio.StoresTest do
            ]
 
     assert {:ok, _} = Stores.fetch_recording(tmp, "Talk.0000-annotation-A.0000")
+  end
+
+  @tag :tmp_dir
+  test "shows a recording in segments once, while it grows and loses segments", %{tmp_dir: tmp} do
+    second = 1_000_000_000
+    write_segment(tmp, "hall", %{"N" => [1 * second, 2 * second]}, run: "a")
+    write_segment(tmp, "hall", %{"N" => [60 * second, 90 * second]}, run: "b")
+    writer = write_segment(tmp, "hall", %{"N" => [100 * second]}, run: "b", open?: true)
+    record("lobby", tmp)
+    assert Enum.map(Stores.list_recordings(tmp), &elem(&1, 0)) == ["hall", "lobby.0000"]
+    assert {:ok, path} = Stores.fetch_recording(tmp, "hall")
+    assert %{segments: 3, pauses: 1, live: true, error: nil} = facts = Summary.of_recording(path)
+    assert Summary.format_duration(facts) == "1 min 39 s"
+    stamp = Summary.file_stamp(path)
+    {:ok, source} = Recordings.Store.open(path)
+    :ok = Situ.Store.delete(path <> ".0000")
+    write_segment(tmp, "hall", %{"N" => [110 * second], "New" => [111 * second]}, run: "b")
+    assert Summary.file_stamp(path) != stamp
+    # The studio's cache of the streams expires.
+    assert eventually(fn ->
+             match?({:ok, %{name: "New"}}, Situ.Store.stream_info(source, "New"))
+           end)
+
+    assert {:ok, %{first: first, last: last}} = Situ.Store.stream_info(source, "N")
+    assert {first, last} == {60 * second, 110 * second}
+    :ok = Writer.close(writer)
+    # A segment is still found by its own name.
+    assert {:ok, _} = Stores.fetch_recording(tmp, "hall.0001")
   end
 
   @tag :tmp_dir
