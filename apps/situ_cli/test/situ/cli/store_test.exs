@@ -115,7 +115,7 @@ defmodule Situ.CLI.StoreTest do
       assert [%{"name" => "hall", "segments" => [_, _, %{"messages" => 5}]}] =
                json(["info", hall, "--json"])
 
-      {0, messages} = run(["messages", hall])
+      {0, messages} = run(["messages", hall, "-n", "0"])
       assert length(String.split(messages, "\n", trim: true)) == 15
       file = Path.join(root, "n.csv")
       {0, _} = run(["export", hall, file])
@@ -128,6 +128,7 @@ defmodule Situ.CLI.StoreTest do
       out = Path.join(ctx.root, "out")
       {0, copy} = run(["copy", ctx.hall, out])
       assert length(values(String.trim(copy), "N")) == 15
+      assert {1, _} = run(["remove", ctx.hall, "N"])
       {0, crop} = run(["crop", ctx.hall, out, "--start", "3s", "--length", "9s"])
       assert values(String.trim(crop), "N") == [4, 5, 11, 12, 13]
       {0, text} = run(["verify", ctx.hall])

@@ -33,7 +33,7 @@ defmodule Situ.Dataset.SegmentsTest do
     {:ok, dataset} = Dataset.add_session(dataset, "s")
     {:ok, dataset} = Dataset.add_partition(dataset, "s", "hall", ctx.hall)
     {:ok, sum} = Checksum.compute(ctx.hall)
-    :ok = Dataset.save(dataset)
+    {:ok, _} = Dataset.save(dataset)
     {:ok, again} = Dataset.load(file)
     [%{partitions: [found]}] = again.sessions
     assert found.path == ctx.hall

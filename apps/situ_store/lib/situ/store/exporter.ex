@@ -124,7 +124,7 @@ defmodule Situ.Store.Exporter do
             ~s|  Write: Situ.Store.create(p, "lobby", "recordings")|
   end
 
-  # `path` is the name without a version, which opens the newest segment.
+  # `path` is the name without a version, which opens all segments.
   defp create_segmented(p, {name, root, opts}, split, keep) do
     cut = SplitPoint.new(split)
 

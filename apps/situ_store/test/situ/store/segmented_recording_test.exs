@@ -330,6 +330,16 @@ defmodule Situ.Store.SegmentedRecordingTest do
       assert times(Store.open!(path), "N") == ctx.messages ++ [{70, 70}]
     end
 
+    test "repair restores the name of a segment whose compaction was killed",
+         %{path: path} = ctx do
+      File.rename!(path <> ".0002", path <> ".0002.before-compaction")
+      assert %{damage: ["hall.0002 has lost its name" <> _]} = Store.info(Store.open!(path))
+      assert {:error, %{code: :compaction_interrupted}} = Store.repair(path, dry_run: true)
+      assert {:ok, %{dropped: 0}} = Store.repair(path)
+      assert times(Store.open!(path), "N") == ctx.messages
+      assert %{damage: []} = Store.info(Store.open!(path))
+    end
+
     test "delete", %{path: path, tmp_dir: root} do
       run = append(start_run(root, 10, nil), "N", 70, 70)
       assert {:error, %{code: :store_in_use}} = Store.delete(path)

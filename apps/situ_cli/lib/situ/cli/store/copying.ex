@@ -232,6 +232,7 @@ defmodule Situ.CLI.Store.Copying do
 
   defp remove_streams(%{path: path, stream: unwanted}, opts) do
     store = Recording.open!(path)
+    check_one_store!(store, unwanted)
     name = Store.info(store).name
     out = Path.join(Path.dirname(store.path), name)
     streams = Arguments.copy_options([exclude: unwanted], fn _, _ -> :ok end)[:streams]
@@ -248,6 +249,19 @@ defmodule Situ.CLI.Store.Copying do
     write_store([path], out, opts, fn progress ->
       Store.copy(store.path, out, [streams: streams] ++ copy_options(opts, progress))
     end)
+  end
+
+  # The recorder would continue its segments after the new version.
+  defp check_one_store!(store, unwanted) do
+    if Store.segments(store) != [] do
+      raise Error.new(
+              :segmented,
+              "#{store.path} is a recording in segments, which has no further versions",
+              why: "the new version would hide its segments",
+              fix:
+                "create another recording: `situ store copy '#{store.path}' NEW --exclude '#{hd(unwanted)}'`"
+            )
+    end
   end
 
   defp edit_messages(%{path: path, out: out}, opts) do
