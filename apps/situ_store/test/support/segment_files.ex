@@ -4,8 +4,8 @@ defmodule Situ.Test.SegmentFiles do
   alias Situ.Store.Writer
 
   @doc """
-  Adds a closed segment to recording `name` in `root` and returns its folder. `streams` maps names of streams to times in
-  ns, which are also the data. With `open?: true`, returns the writer, still open.
+  Adds a closed segment to recording `name` in `root` and returns its folder. `streams` maps names of streams to times
+  in ns, which are also the data. With `open?: true`, returns the writer, still open.
   """
   def write_segment(root, name, streams, opts \\ []) do
     {:ok, writer} = Writer.create(name, root, first_extent: 65_536)

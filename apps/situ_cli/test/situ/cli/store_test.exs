@@ -128,7 +128,8 @@ defmodule Situ.CLI.StoreTest do
       out = Path.join(ctx.root, "out")
       {0, copy} = run(["copy", ctx.hall, out])
       assert length(values(String.trim(copy), "N")) == 15
-      assert {1, _} = run(["remove", ctx.hall, "N"])
+      error = capture_io(:stderr, fn -> assert {1, _} = run(["remove", ctx.hall, "N"]) end)
+      assert error =~ "a recording in segments, which has no further versions"
       {0, crop} = run(["crop", ctx.hall, out, "--start", "3s", "--length", "9s"])
       assert values(String.trim(crop), "N") == [4, 5, 11, 12, 13]
       {0, text} = run(["verify", ctx.hall])
