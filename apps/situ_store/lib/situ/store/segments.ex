@@ -97,7 +97,9 @@ defmodule Situ.Store.Segments do
   end
 
   defp combine_versions({name, versions}) do
-    if segmented?(name),
+    versions = Enum.sort_by(versions, &Folder.version_number/1)
+
+    if newest_segment?(versions) and not Folder.store_folder?(name),
       do: [name | Enum.reject(versions, &(check_segment(&1) == true))],
       else: versions
   end

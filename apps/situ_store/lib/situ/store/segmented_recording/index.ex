@@ -82,15 +82,14 @@ defmodule Situ.Store.SegmentedRecording.Index do
   end
 
   @doc "Returns the table, the epoch and the first segment of a running index."
-  @spec lookup(key()) :: {:ets.table(), reference(), integer()}
+  @spec lookup(key()) :: {:ets.table(), reference(), integer()} | {:error, Error.t()}
   def lookup(key) do
     case Registry.lookup(@registry, key) do
       [{_pid, {_, _, _} = found}] ->
         found
 
       _ ->
-        _ = call(key, :refresh)
-        lookup(key)
+        with :ok <- call(key, :refresh), do: lookup(key)
     end
   end
 
@@ -139,7 +138,7 @@ defmodule Situ.Store.SegmentedRecording.Index do
   @impl true
   def handle_call({:open, pid}, _from, state) do
     state = reload_replaced(state)
-    state = refresh(%{state | owners: Map.put(state.owners, Process.monitor(pid), pid)}, false)
+    state = refresh(monitor_owner(state, pid), false)
     first = Contents.first_number(state.contents)
     origin = Contents.first_ordinals(state.contents)
     reply({:ok, %{epoch: state.epoch, first: first, origin: origin}}, state)
@@ -184,6 +183,12 @@ defmodule Situ.Store.SegmentedRecording.Index do
     state = refresh(state, false)
     live = Contents.live_readers(state.contents)
     reply(:ok, %{state | waiting: Waiting.add(state.waiting, {known, pid, tag}, live)})
+  end
+
+  defp monitor_owner(%{owners: owners} = state, pid) do
+    if is_map_key(owners, pid),
+      do: state,
+      else: %{state | owners: Map.put(owners, pid, Process.monitor(pid))}
   end
 
   # A segment may have been repaired, compacted or recorded again since. If nobody reads the recording, everything is
@@ -245,8 +250,8 @@ defmodule Situ.Store.SegmentedRecording.Index do
     {:noreply, %{state | waiting: Waiting.reply(waiting, live?)}, @idle_ms}
   end
 
-  def handle_info({:DOWN, ref, :process, _, _}, state),
-    do: {:noreply, %{state | owners: Map.delete(state.owners, ref)}, @idle_ms}
+  def handle_info({:DOWN, _ref, :process, pid, _}, state),
+    do: {:noreply, %{state | owners: Map.delete(state.owners, pid)}, @idle_ms}
 
   def handle_info(:timeout, %{owners: owners} = state) do
     if owners == %{} and Waiting.empty?(state.waiting),

@@ -12,6 +12,7 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
       {table, ^epoch, _} -> {:ok, table}
       # The index was started again. Ordinals are the same if no segment has been deleted.
       {table, _, ^first} -> {:ok, table}
+      {:error, error} -> {:error, error}
       _ -> {:error, Index.expired_error(key)}
     end
   end
@@ -123,8 +124,6 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
   end
 
   defp check_deleted(state, request, part, position, error) do
-    {_, _, _} = request
-
     case Index.call(state.key, {:check, part.number}) do
       :deleted -> walk_deleted(state, request, part, position)
       :replaced -> walk_from(state, request, elem(position, 0), elem(position, 1), :fresh)

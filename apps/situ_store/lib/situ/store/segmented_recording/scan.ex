@@ -17,9 +17,9 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   @spec update(Contents.t(), folders(), keyword(), boolean()) :: {Contents.t(), [String.t()]}
   def update(before, folders, opts, dense?) do
     contents = before |> remove_deleted(Map.new(folders)) |> open_new(Enum.reverse(folders), opts)
-    changing = for {number, %{reader: reader}} <- contents.segments, reader != nil, do: number
-    written = Enum.flat_map(changing, &list_written(contents, &1))
-    contents = Enum.reduce(changing, contents, &read_segment/2)
+    written = Enum.flat_map(list_changing(contents), &list_written(contents, &1))
+    contents = Enum.reduce(list_changing(contents), contents, &read_segment/2)
+    changing = list_changing(contents)
     contents = Enum.reduce(changing, contents, &update_parts/2)
 
     ended =
@@ -34,6 +34,9 @@ defmodule Situ.Store.SegmentedRecording.Scan do
     contents = Enum.reduce(complete, contents, &release_reader/2)
     {contents, changed_streams(before, contents)}
   end
+
+  defp list_changing(contents),
+    do: for({number, %{reader: reader}} <- contents.segments, reader != nil, do: number)
 
   @doc "Returns how many versions have come and gone since the contents were read before."
   @spec count_unseen(Contents.t(), Contents.t(), folders()) :: non_neg_integer()
@@ -79,7 +82,12 @@ defmodule Situ.Store.SegmentedRecording.Scan do
     contents =
       if contents.segments[number].reader, do: read_segment(number, contents), else: contents
 
-    contents = update_parts(number, contents)
+    if is_map_key(contents.segments, number),
+      do: drop_segment(number, update_parts(number, contents)),
+      else: contents
+  end
+
+  defp drop_segment(number, contents) do
     {segment, segments} = Map.pop!(contents.segments, number)
     count = segment.infos |> Map.values() |> Enum.map(& &1.count) |> Enum.sum()
     {n, messages} = contents.deleted
@@ -137,6 +145,15 @@ defmodule Situ.Store.SegmentedRecording.Scan do
     if live?, do: contents, else: release_reader(number, read_segment(number, contents))
   end
 
+  # The index of a segment was damaged after it was opened.
+  defp read_segment(number, contents) do
+    read_state(number, contents)
+  rescue
+    error in Situ.Error ->
+      path = contents.segments[number].path
+      note_unreadable(drop_segment(number, contents), number, path, error)
+  end
+
   # A recorder that was killed may leave an empty folder.
   defp note_unreadable(contents, number, path, error) do
     if File.ls(path) in [{:ok, []}, {:ok, ["lock"]}, {:error, :enoent}],
@@ -166,13 +183,19 @@ defmodule Situ.Store.SegmentedRecording.Scan do
       {:ok, reader} ->
         segment = %{segment | reader: reader, stamp: index_stamp(segment.path)}
         after_reading = read_segment(number, put_in(contents.segments[number], segment))
-        after_reading = update_parts(number, after_reading)
-        {release_reader(number, after_reading), changed_streams(contents, after_reading)}
+        reloaded = finish_reload(number, after_reading)
+        {reloaded, changed_streams(contents, reloaded)}
 
       {:error, error} ->
-        reloaded = note_unreadable(remove_segment(number, contents), number, segment.path, error)
+        reloaded = note_unreadable(drop_segment(number, contents), number, segment.path, error)
         {reloaded, changed_streams(contents, reloaded)}
     end
+  end
+
+  defp finish_reload(number, contents) do
+    if is_map_key(contents.segments, number),
+      do: release_reader(number, update_parts(number, contents)),
+      else: contents
   end
 
   # A stream writes to one segment after another. The counts of all segments are read after it is known which segments
@@ -186,19 +209,19 @@ defmodule Situ.Store.SegmentedRecording.Scan do
     for {_, info} <- contents.segments[number].infos, info.first != nil, do: {number, info.id}
   end
 
-  defp read_segment(number, contents) do
+  defp read_state(number, contents) do
     segment = contents.segments[number]
     # The state is read before the streams: after the end, nothing follows.
     info = NativeFormat.info(segment.reader)
     streams = NativeFormat.streams(segment.reader)
-    contents = Enum.reduce(streams, contents, &name_stream(&1, number, &2))
+    contents = Enum.reduce(streams, contents, &name_stream/2)
     infos = Map.new(streams, &{contents.names[{&1.name, &1.type_name}], &1})
     put_in(contents.segments[number], %{segment | info: info, infos: infos})
   end
 
   # Streams of the same name and different types are different streams. The newest has the plain name, unless another
   # one has been read under that name.
-  defp name_stream(%{name: name, type_name: type, id: id}, _number, contents) do
+  defp name_stream(%{name: name, type_name: type, id: id}, contents) do
     if is_map_key(contents.names, {name, type}) do
       contents
     else
@@ -241,6 +264,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
     new =
       for {number, id} <- written,
           segment = contents.segments[number],
+          segment != nil,
           {name, %{id: ^id} = info} <- segment.infos,
           not has_part?(contents.timelines[name], number),
           do: {name, build_part(segment, info)}
@@ -259,7 +283,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   end
 
   defp has_part?(nil, _number), do: false
-  defp has_part?(%{parts: parts}, number), do: Enum.any?(parts, &(&1.number == number))
+  defp has_part?(timeline, number), do: Timeline.known_part?(timeline, number)
 
   # Runs follow one another in the order of their first segments; within a run, the times decide.
   defp order_parts(parts) do
@@ -298,19 +322,15 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   # Streams may have begun while the segments were read.
   defp complete?(contents, number) do
     Enum.all?(contents.segments[number].infos, fn {name, info} ->
-      info.first == nil or hidden_or_known?(contents.timelines[name], number)
+      info.first == nil or has_part?(contents.timelines[name], number)
     end)
   end
-
-  # The parts of an earlier run may be hidden completely.
-  defp hidden_or_known?(nil, _number), do: false
-  defp hidden_or_known?(timeline, number), do: has_part?(timeline, number) or timeline.hidden > 0
 
   # A segment that has ended does not change, so it is opened again when it is read.
   defp release_reader(number, contents) do
     segment = contents.segments[number]
 
-    if segment.info.live? do
+    if segment == nil or segment.info.live? do
       contents
     else
       name = Path.basename(segment.path)

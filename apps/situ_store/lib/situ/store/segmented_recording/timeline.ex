@@ -18,12 +18,13 @@ defmodule Situ.Store.SegmentedRecording.Timeline do
   end
 
   # `parts` begins with the latest part.
-  defstruct parts: [], next: 0, hidden: 0
+  defstruct parts: [], next: 0, hidden: 0, hidden_parts: []
 
   @type t :: %__MODULE__{
           parts: [Part.t()],
           next: non_neg_integer(),
-          hidden: non_neg_integer()
+          hidden: non_neg_integer(),
+          hidden_parts: [integer()]
         }
 
   @doc """
@@ -36,8 +37,21 @@ defmodule Situ.Store.SegmentedRecording.Timeline do
     {kept, hidden} = hide_from(timeline.parts, part, count_before)
     base = if dense? and hidden > 0, do: end_of_parts(kept), else: base
     parts = [%{part | base: base} | kept]
-    %{timeline | parts: parts, hidden: timeline.hidden + hidden}
+    count = if hidden > 0, do: length(timeline.parts) - length(kept), else: 0
+    gone = for part <- Enum.take(timeline.parts, count), do: part.number
+
+    %{
+      timeline
+      | parts: parts,
+        hidden: timeline.hidden + hidden,
+        hidden_parts: gone ++ timeline.hidden_parts
+    }
   end
+
+  @doc "Returns whether the part of a segment was added, even if all of its messages are hidden now."
+  @spec known_part?(t(), integer()) :: boolean()
+  def known_part?(timeline, number),
+    do: number in timeline.hidden_parts or Enum.any?(timeline.parts, &(&1.number == number))
 
   defp hide_from([%{run: run} | _] = parts, %{run: run}, _count_before), do: {parts, 0}
 
@@ -76,7 +90,13 @@ defmodule Situ.Store.SegmentedRecording.Timeline do
   @spec remove_part(t(), integer()) :: t()
   def remove_part(timeline, number) do
     next = next_ordinal(timeline)
-    %{timeline | parts: Enum.reject(timeline.parts, &(&1.number == number)), next: next}
+
+    %{
+      timeline
+      | parts: Enum.reject(timeline.parts, &(&1.number == number)),
+        hidden_parts: List.delete(timeline.hidden_parts, number),
+        next: next
+    }
   end
 
   @doc "Returns the index of the part that contains an ordinal, or the first part after it."
