@@ -326,12 +326,14 @@ defmodule Situ.Store do
   end
 
   @typedoc """
-  A segment of a recording: its folder, its number, the wall clock at its creation, the span of its originating times
-  (`nil` without messages), the number of its messages, and whether it was closed or is being written.
+  A segment of a recording: its folder, its number, the run of the recorder (`nil` for earlier releases), the wall clock
+  at its creation, the span of its originating times (`nil` without messages), the number of its messages, and whether
+  it was closed or is being written.
   """
   @type segment :: %{
           path: Path.t(),
           number: non_neg_integer(),
+          run: String.t() | nil,
           created: Situ.Time.t(),
           first: Situ.Time.t() | nil,
           last: Situ.Time.t() | nil,

@@ -1,6 +1,7 @@
 defmodule Situ.Store.SegmentedRecordingTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
+  import Situ.Test.SegmentFiles
   alias Situ.{Message, Store}
   alias Situ.Store.{Rotation, SegmentRenaming, Writer}
   alias Situ.Store.Rotation.SplitPoint
@@ -201,6 +202,25 @@ defmodule Situ.Store.SegmentedRecordingTest do
       if Store.has_stream?(store, "B"),
         do: Enum.filter(times(store, "B"), &(elem(&1, 0) > 100)),
         else: []
+    end
+
+    test "survives damage to segments while they are open", %{tmp_dir: root} do
+      for first <- [1, 11], do: write_segment(root, "hall", %{"N" => first..(first + 8)})
+      writer = write_segment(root, "hall", %{"N" => 21..29}, open?: true)
+      store = open(root)
+      assert Store.count(store, "N") == 27
+      File.write!(Path.join(writer.path, "index.situ"), "short")
+      assert [%{name: "N"}] = Store.streams(store)
+      assert {:ok, %{data: 15}} = Store.latest_at(store, "N", 15)
+      _ = Writer.close(writer)
+      File.rm_rf!(writer.path)
+      assert length(times(store, "N")) == 18
+      for path <- Store.list(root, segments: true), do: File.rm_rf!(path)
+      assert_raise Situ.Error, ~r/no store/, fn -> Store.info(store) end
+
+      assert Enum.to_list(
+               Store.messages(store, %{id: 1, name: "N"} |> then(&struct!(Store.StreamInfo, &1)))
+             ) == []
     end
 
     test "reports a segment that cannot be read, and reads the others", %{tmp_dir: root} do
@@ -441,7 +461,7 @@ defmodule Situ.Store.SegmentedRecordingTest do
 
   property "reads the acknowledged messages that are still kept",
     context: %{tmp_dir: tmp},
-    numtests: 40 do
+    numtests: 30 do
     forall {split, keep, steps} <- {split(), keep(), :proper_types.resize(120, list(step()))} do
       root = Path.join(tmp, "#{System.unique_integer([:positive])}")
       run = start_run(root, split, keep)

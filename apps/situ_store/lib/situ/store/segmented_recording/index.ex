@@ -48,7 +48,7 @@ defmodule Situ.Store.SegmentedRecording.Index do
           {:ok, %{epoch: reference(), first: integer(), origin: map()}} | {:error, Error.t()}
   def open(key), do: call(key, {:open, self()})
 
-  @doc "Calls the index, which may have to be started again."
+  @doc "Calls the index, which may have to be started again. Reading thousands of segments takes seconds."
   @spec call(key(), term()) :: term()
   def call(key, request) do
     with {:ok, pid} <- ensure_started(key), do: GenServer.call(pid, request, :infinity)
@@ -112,6 +112,8 @@ defmodule Situ.Store.SegmentedRecording.Index do
     end
   end
 
+  @doc false
+  @spec start_link(key()) :: GenServer.on_start()
   def start_link(key) do
     GenServer.start_link(__MODULE__, key, name: {:via, Registry, {@registry, key, nil}})
   end
@@ -331,7 +333,8 @@ defmodule Situ.Store.SegmentedRecording.Index do
     )
   end
 
-  @doc false
+  @doc "Returns the error for a recording whose segments were all deleted."
+  @spec no_store_error(key()) :: Error.t()
   def no_store_error({name, root, _}),
     do: NativeErrors.to_error(:no_store, Path.join(root, name))
 end

@@ -3,11 +3,13 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
   # Merges the summaries of the segments of a recording. Bins of neighbouring segments may be the same bin.
   import Bitwise
   alias Situ.Recording
-  alias Situ.Store.{Native, NativeFormat}
+  alias Situ.Store.{Native, NativeFormat, StreamInfo, Summary}
   alias Situ.Store.SegmentedRecording.{Index, PartReading, Visible}
   alias Situ.Store.Summary.{Bins, Fold}
 
   @doc "Works like `c:Situ.Recording.summary/5`."
+  @spec read_numbers(map(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+          {:ok, pos_integer(), [Summary.bin()]} | {:error, Situ.Error.t()}
   def read_numbers(state, info, from, to, pixels) do
     {from, to} = {NativeFormat.clamp_time(from), NativeFormat.clamp_time(to)}
     level = Native.summary_level(from, to, pixels)
@@ -58,6 +60,15 @@ defmodule Situ.Store.SegmentedRecording.Summaries do
   defp merge_bin(bin, bins), do: [bin | bins]
 
   @doc "Works like `c:Situ.Recording.tracks/6`."
+  @spec read_tracks(
+          map(),
+          StreamInfo.t(),
+          {Situ.Time.t(), Situ.Time.t()},
+          non_neg_integer(),
+          non_neg_integer()
+        ) ::
+          {:ok, [{Situ.Time.t(), pos_integer()}], [{term(), Summary.track()}]}
+          | {:error, Situ.Error.t()}
   def read_tracks(state, info, {from, to}, level, most) do
     {from, to} = {NativeFormat.clamp_time(from), NativeFormat.clamp_time(to)}
 
