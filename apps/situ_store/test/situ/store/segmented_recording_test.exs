@@ -204,6 +204,23 @@ defmodule Situ.Store.SegmentedRecordingTest do
         else: []
     end
 
+    test "includes segments of earlier releases, which do not mark their run", %{tmp_dir: root} do
+      for first <- [1, 21, 11],
+          do: write_segment(root, "hall", %{"N" => first..(first + 8)}, run: nil)
+
+      numbers = &Enum.map(times(open(&1), "N"), fn {time, _} -> time end)
+      assert numbers.(root) == Enum.to_list(1..9) ++ Enum.to_list(11..19) ++ Enum.to_list(21..29)
+      # If they overlap, the newest segment is believed.
+      other = Path.join(root, "other")
+
+      for first <- [1, 11, 5],
+          do: write_segment(other, "hall", %{"N" => first..(first + 8)}, run: nil)
+
+      assert numbers.(other) == Enum.to_list(1..13)
+      write_segment(other, "hall", %{"N" => 20..22}, run: "new")
+      assert numbers.(other) == Enum.to_list(1..13) ++ [20, 21, 22]
+    end
+
     test "survives damage to segments while they are open", %{tmp_dir: root} do
       for first <- [1, 11], do: write_segment(root, "hall", %{"N" => first..(first + 8)})
       writer = write_segment(root, "hall", %{"N" => 21..29}, open?: true)
@@ -236,6 +253,35 @@ defmodule Situ.Store.SegmentedRecordingTest do
   end
 
   describe "a recording that is being written" do
+    test "is replayed by a pipeline, which follows it until its recorder stops", %{tmp_dir: root} do
+      run = Enum.reduce(1..25, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      me = self()
+
+      task =
+        Task.async(fn ->
+          Situ.to_list(fn p ->
+            hall = Store.importer(p, Path.join(root, "hall"))
+            hall |> Store.stream("N") |> Situ.each(&send(me, {:read, &1}))
+          end)
+        end)
+
+      assert_receive {:read, 25}, 5_000
+      run = Enum.reduce(26..70, run, &append(&2, "N", &1, &1))
+      assert_receive {:read, 70}, 5_000
+      stop_run(run)
+      assert Task.await(task) == Enum.to_list(1..70)
+
+      # A finished recording is replayed in its recorded time, through all segments.
+      run = Enum.reduce(100..110, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+
+      data =
+        Situ.to_list(fn p -> p |> Store.importer(Path.join(root, "hall")) |> Store.stream("N") end)
+
+      assert Enum.map(data, & &1.originating_time) ==
+               Enum.to_list(1..70) ++ Enum.to_list(100..110)
+    end
+
     test "is followed into new segments", %{tmp_dir: root} do
       run = append(start_run(root, 10, nil), "N", 1, 1)
       store = open(root)
