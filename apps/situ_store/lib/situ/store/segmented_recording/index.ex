@@ -58,8 +58,8 @@ defmodule Situ.Store.SegmentedRecording.Index do
   end
 
   defp ensure_started(key) do
-    with [] <- Registry.lookup(@registry, key),
-         {:ok, _} <- Application.ensure_all_started(:situ_store),
+    with :ok <- ensure_supervised(),
+         [] <- Registry.lookup(@registry, key),
          {:error, {:already_started, pid}} <-
            DynamicSupervisor.start_child(@supervisor, {__MODULE__, key}) do
       {:ok, pid}
@@ -70,26 +70,34 @@ defmodule Situ.Store.SegmentedRecording.Index do
       {:ok, pid} ->
         {:ok, pid}
 
-      {:error, %Error{}} = error ->
-        error
-
       {:error, reason} ->
-        {:error,
-         Error.new(:store_failed, "cannot read the segments of #{elem(key, 0)}",
-           why: inspect(reason)
-         )}
+        {:error, start_error(key, reason)}
     end
+  end
+
+  defp start_error({name, root, _}, reason) do
+    Error.new(:store_failed, "cannot read the segments of #{Path.join(root, name)}",
+      why: inspect(reason)
+    )
+  end
+
+  # A script may read recordings without starting this application.
+  defp ensure_supervised do
+    with nil <- Process.whereis(@registry),
+         {:error, {_app, reason}} <- Application.ensure_all_started(:situ_store),
+         do: {:error, reason},
+         else: (_ -> :ok)
   end
 
   @doc "Returns the table, the epoch and the first segment of a running index."
   @spec lookup(key()) :: {:ets.table(), reference(), integer()} | {:error, Error.t()}
   def lookup(key) do
-    case Registry.lookup(@registry, key) do
-      [{_pid, {_, _, _} = found}] ->
-        found
-
-      _ ->
-        with :ok <- call(key, :refresh), do: lookup(key)
+    with :ok <- ensure_supervised(),
+         [{_pid, {_, _, _} = found}] <- Registry.lookup(@registry, key) do
+      found
+    else
+      {:error, reason} -> {:error, start_error(key, reason)}
+      _not_ready -> with :ok <- call(key, :refresh), do: lookup(key)
     end
   end
 
