@@ -1,7 +1,7 @@
 defmodule Situ.Store.SegmentedRecording.PartReading do
   @moduledoc false
   # Reads a stream of a segmented recording part by part, and goes from the end of a part to the next.
-  alias Situ.Store.NativeFormat
+  alias Situ.Store.{NativeErrors, NativeFormat}
   alias Situ.Store.SegmentedRecording.{Index, Timeline}
   require Logger
 
@@ -26,9 +26,13 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
           {:ok, {NativeFormat.t(), Situ.Store.StreamInfo.t()}}
           | :deleted
           | {:error, Situ.Error.t()}
-  def open_part(state, table, info, part) do
-    with {:ok, reader, infos} <- Index.fetch_segment(state.key, table, part.number),
-         do: {:ok, {reader, Map.fetch!(infos, info.name)}}
+  def open_part(state, table, %{name: name}, part) do
+    with {:ok, reader, infos} <- Index.fetch_segment(state.key, table, part.number) do
+      case infos do
+        %{^name => part_info} -> {:ok, {reader, part_info}}
+        _ -> {:error, NativeErrors.no_stream_error(name, Map.keys(infos), reader.path)}
+      end
+    end
   end
 
   @doc """
@@ -66,7 +70,9 @@ defmodule Situ.Store.SegmentedRecording.PartReading do
 
   defp walk_part(state, {table, info, read} = request, {parts, index}, {ordinal, to}, age) do
     part = elem(parts, index)
-    if ordinal < part.base and index == 0, do: warn_of_deletion(state, info, part.base - ordinal)
+    # Reading from ordinal 0 means to read from the oldest message.
+    missed? = index == 0 and ordinal > origin(state, info) and ordinal < part.base
+    if missed?, do: warn_of_deletion(state, info, part.base - ordinal)
     local = max(ordinal - part.base, 0)
 
     with true <- to == :unbounded or part.first <= to,
