@@ -26,7 +26,7 @@ defmodule Situ.Dataset.SessionLayers do
   `copy_layer/4` copies one into an editable layer. Dataset files in one folder share the layers of sessions with the
   same name.
   """
-  # See docs/adr/0168-the-layers-of-a-session-are-one-store.md.
+  # See docs/adr/0169-the-layers-of-a-session-are-one-store.md.
   alias Situ.Annotation.{EditorState, Layer, Recording, StoreVersions}
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{LayersPartition, NameRules, OpenSession, Partition, Session}
