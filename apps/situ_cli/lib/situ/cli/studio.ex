@@ -91,7 +91,8 @@ defmodule Situ.CLI.Studio do
   end
 
   defp check_path(path) do
-    if File.exists?(path) or Situ.Recording.Formats.for_address(path) do
+    # The name of a recording without a version is not a file.
+    if File.exists?(path) or Situ.Store.exists?(path) do
       :ok
     else
       {:error,
