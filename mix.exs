@@ -39,6 +39,7 @@ defmodule Situ.Umbrella.MixProject do
           situ_link: :permanent,
           situ_cluster: :permanent,
           situ_bridge: :permanent,
+          situ_python: :permanent,
           situ_live: :permanent,
           situ_studio: :permanent,
           situ_cli: :permanent,

@@ -15,6 +15,7 @@ defmodule Situ.CLI.MixProject do
         :situ_infer,
         :situ_assistant,
         :situ_bridge,
+        :situ_python,
         :situ_link,
         :situ_cluster,
         :situ_studio

@@ -16,6 +16,7 @@ Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
 """
 
 from .binary import Damaged, Missing
+from .component import Component
 from .dataset import Dataset, Partition, Session
 from .network import publish, pull, push, subscribe
 from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, open
@@ -30,6 +31,7 @@ __all__ = [
     "AbandonedWarning",
     "Atom",
     "AudioBuffer",
+    "Component",
     "Damaged",
     "DeletedWarning",
     "Dataset",

@@ -83,10 +83,10 @@ class Image(_Value):
     HEAD = struct.Struct("<BBHIII48x")
 
     @classmethod
-    def from_array(cls, array, format=None):
+    def from_array(cls, array, format=None, copy=True):
         """Builds an image from a uint8 or uint16 array of shape (height, width) or (height, width, channels).
 
-        Three channels are rgb24 unless `format` is given.
+        Three channels are rgb24 unless `format` is given. With `copy=False`, the image refers to the array's memory.
         """
         np = import_numpy()
         array = np.asarray(array)
@@ -95,7 +95,8 @@ class Image(_Value):
         pixel = (array.dtype.itemsize * 8, channels)
         if format not in _IMAGE_CODES or IMAGE_FORMATS[_IMAGE_CODES[format]][1:] != pixel:
             raise ValueError(f"an array of {array.dtype} with shape {array.shape} is not an image of format {format}")
-        data = np.ascontiguousarray(array).tobytes()
+        array = np.ascontiguousarray(array)
+        data = array.tobytes() if copy else memoryview(array).cast("B")
         return cls(array.shape[1], array.shape[0], format, len(data) // array.shape[0], data)
 
     @property
@@ -404,6 +405,14 @@ CODECS = {kind.NAME: kind for kind in (Image, DepthImage, EncodedImage, AudioBuf
 def decode_value(name, raw):
     """Decodes the bytes of the codec `name`. Raises `Damaged`."""
     return CODECS[name].decode(raw) if name in CODECS else Undecoded(name, bytes(raw))
+
+
+def encode_parts(value):
+    """Returns the encoded value as memoryviews, of which the last is an image's own memory."""
+    if isinstance(value, Image):
+        head = value.HEAD.pack(1, _IMAGE_CODES[value.format], 0, value.width, value.height, value.stride)
+        return [memoryview(head), memoryview(value.data)]
+    return [memoryview(value.encode())]
 
 
 def to_writable(value):

@@ -25,6 +25,7 @@ defmodule Situ.Build.Architecture do
     situ_link: [:situ, :situ_store, :situ_types],
     situ_cluster: [:situ, :situ_link, :situ_store, :situ_types],
     situ_bridge: [:situ, :situ_store, :situ_types],
+    situ_python: [:situ, :situ_store, :situ_types],
     situ_live: [:situ_types]
   }
 

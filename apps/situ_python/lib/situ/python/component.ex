@@ -1,0 +1,346 @@
+defmodule Situ.Python.Component do
+  @moduledoc false
+  # Hands messages to a Python worker and emits its results, in order. Several messages are in flight, as many as the
+  # worker handles in about 5 ms; while there are more, the inputs are held, so the streams wait.
+  #
+  # An error is a separate message to this process, so that handling it undoes nothing else (as in `Situ.MapAsync`). The
+  # message at which Python failed is lost. With `:skip` and `:restart`, the messages after it are sent again if they had
+  # no result yet.
+  use Situ.Component,
+    options: [
+      source: [type: :string, required: true],
+      class: [type: :string, required: true],
+      python: [type: :string, required: true],
+      options: [type: :any, required: true],
+      input_names: [type: :any, required: true],
+      output_types: [type: :any, required: true],
+      timeout: [type: :any, required: true],
+      start_timeout: [type: :any, required: true],
+      memory: [type: :any, required: true],
+      shared_memory: [type: :any, required: true],
+      errors: [type: {:in, [:stop, :skip, :restart]}, required: true]
+    ]
+
+  alias Situ.Error
+  alias Situ.Python.{Program, Protocol, Window, Worker}
+
+  # A restart begins with a new state, so the remaining work is kept here: a list of messages to handle again, or
+  # `:closed` after the end of all inputs.
+  @after_restart {__MODULE__, :after_restart}
+
+  @impl true
+  def init(opts) do
+    opts = Map.new(opts)
+    numbers = opts.input_names |> Enum.with_index() |> Map.new()
+
+    {:ok,
+     %{
+       opts: opts,
+       numbers: numbers,
+       open: opts.input_names,
+       worker: nil,
+       process: nil,
+       version: nil,
+       in_flight: :queue.new(),
+       window: Window.new(),
+       last_time: nil
+     }}
+  end
+
+  @impl true
+  def handle_start(context, state) do
+    case Process.get(@after_restart, []) do
+      :closed ->
+        {[], %{state | open: []}}
+
+      entries ->
+        Process.delete(@after_restart)
+        state = start_worker(state, context)
+        state = Enum.reduce(entries, state, &submit(&2, &1))
+        {hold_or_resume(state), state}
+    end
+  end
+
+  defp start_worker(state, context) do
+    with :ok <- Program.check_source(state.opts.source),
+         {:ok, interpreter} <- Program.find_interpreter(state.opts.python),
+         {:ok, worker} <- Worker.start_link(worker_config(state.opts, interpreter, context)),
+         {:ok, process, version} <- await_ready(worker, state.opts.start_timeout) do
+      %{state | worker: worker, process: process, version: version}
+    else
+      {:error, %Error{} = error} -> raise error
+    end
+  end
+
+  defp worker_config(opts, interpreter, context) do
+    %{
+      path: context.path,
+      interpreter: interpreter,
+      outputs: opts.output_types,
+      timeout: opts.timeout,
+      shared_memory: opts.shared_memory,
+      start: %{
+        "source" => opts.source,
+        "class" => opts.class,
+        "options" => Map.new(opts.options, fn {key, value} -> {to_string(key), value} end),
+        "inputs" => Enum.map(opts.input_names, &to_string/1),
+        "outputs" => Enum.map(opts.output_types, fn {name, _type} -> to_string(name) end),
+        "types" => Enum.map(opts.output_types, fn {_name, type} -> inspect(type) end),
+        "on_error" => to_string(opts.errors),
+        "memory" => opts.memory,
+        "shared" => opts.shared_memory
+      }
+    }
+  end
+
+  # The pipeline starts when the component can take messages: loading a model may take long.
+  defp await_ready(worker, timeout) do
+    receive do
+      {:situ_python, ^worker, {:ready, process, version}} -> {:ok, process, version}
+      {:situ_python, ^worker, {:ended, error}} -> {:error, error}
+      {:EXIT, ^worker, reason} when reason != :normal -> {:error, crash_error(reason)}
+    after
+      timeout ->
+        Process.unlink(worker)
+        Process.exit(worker, :kill)
+        {:error, slow_start_error(timeout)}
+    end
+  end
+
+  defp slow_start_error(timeout) do
+    Error.new(:timeout, "the Python component did not start within #{timeout} ms",
+      why: "importing its modules or its setup took longer",
+      fix: "increase start_timeout:"
+    )
+  end
+
+  defp crash_error(reason),
+    do:
+      Error.new(:python_ended, "the process of the Python worker has failed", why: inspect(reason))
+
+  @impl true
+  def handle_message(input, message, context, state) do
+    entry = {input, message.originating_time, encode_message(input, message, context, state)}
+    state = submit(state, entry)
+    {hold_or_resume(state), state}
+  end
+
+  defp encode_message(input, message, context, state) do
+    case Protocol.encode_value(message.data) do
+      {:ok, value} -> {Protocol.encode_head(state.numbers[input], message), value}
+      :error -> raise not_sendable_error(message.data, context)
+    end
+  end
+
+  defp not_sendable_error(data, context) do
+    Error.new(:not_writable, "#{context.path} cannot send #{inspect(data, limit: 5)} to Python",
+      why: "it contains functions, processes or references",
+      fix: "map the stream to numbers, strings, lists, maps or structs first"
+    )
+  end
+
+  defp submit(state, {_input, _time, {head, value}} = entry) do
+    if state.worker, do: Worker.send_message(state.worker, head, value)
+    window = Window.count_sent(state.window)
+    %{state | in_flight: :queue.in(entry, state.in_flight), window: window}
+  end
+
+  # The worker takes no more messages than it handles soon.
+  defp hold_or_resume(state) do
+    action = if state.worker == nil or Window.full?(state.window), do: :hold, else: :resume
+    for input <- state.open, do: {action, input}
+  end
+
+  @impl true
+  def handle_info({:situ_python, worker, event}, context, %{worker: worker} = state) do
+    {actions, state} = handle_event(event, context, state)
+    {actions ++ hold_or_resume(state), state}
+  end
+
+  def handle_info({:hold_ended, _input}, _context, state), do: {hold_or_resume(state), state}
+
+  def handle_info({:situ_python_failed, error}, _context, state) do
+    if state.opts.errors == :restart and state.open != [],
+      do: plan_restart(:queue.to_list(state.in_flight))
+
+    raise error
+  end
+
+  def handle_info({:EXIT, worker, reason}, context, %{worker: worker} = state)
+      when reason != :normal,
+      do: handle_info({:situ_python, worker, {:ended, crash_error(reason)}}, context, state)
+
+  def handle_info(:situ_python_again, context, %{worker: nil, open: [_ | _]} = state) do
+    state = start_again(state, context)
+    {hold_or_resume(state), state}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp handle_event({:results, results}, context, state),
+    do: take_results(results, [], context, state)
+
+  defp handle_event({:ended, error}, context, state),
+    do: {[], handle_failure(%{state | worker: nil}, error, context)}
+
+  defp handle_event(_event, _context, state), do: {[], state}
+
+  defp take_results([], actions, _context, state),
+    do: {Enum.reverse(actions), %{state | window: Window.adapt(state.window)}}
+
+  defp take_results([{:ok, emitted} | rest], actions, context, state) do
+    state = state |> drop_oldest() |> record_times(emitted)
+    take_results(rest, Enum.reverse(emitted, actions), context, state)
+  end
+
+  defp take_results([{:error, error} | rest], actions, context, state) do
+    if state.opts.errors == :skip do
+      send(self(), {:situ_python_failed, describe_error(error, oldest(state), context)})
+      take_results(rest, actions, context, drop_oldest(state))
+    else
+      # After an exception, Python ignores further messages.
+      stop_worker(state)
+      {Enum.reverse(actions), handle_failure(%{state | worker: nil}, error, context)}
+    end
+  end
+
+  # With `:skip`, the component keeps its state and gets a new worker. With `:restart`, the runtime starts it again.
+  defp handle_failure(state, error, context) do
+    error = describe_error(error, oldest(state), context)
+    state = drop_oldest(state)
+    send(self(), {:situ_python_failed, error})
+    if state.opts.errors == :skip, do: send(self(), :situ_python_again)
+    state
+  end
+
+  defp plan_restart(plan), do: Process.put(@after_restart, plan)
+
+  defp start_again(state, context) do
+    entries = :queue.to_list(state.in_flight)
+    state = start_worker(%{state | in_flight: :queue.new(), window: Window.new()}, context)
+    Enum.reduce(entries, state, &submit(&2, &1))
+  end
+
+  defp oldest(state) do
+    case :queue.peek(state.in_flight) do
+      {:value, entry} -> entry
+      :empty -> nil
+    end
+  end
+
+  defp drop_oldest(state) do
+    if :queue.is_empty(state.in_flight),
+      do: state,
+      else: %{
+        state
+        | in_flight: :queue.drop(state.in_flight),
+          window: Window.count_done(state.window)
+      }
+  end
+
+  defp record_times(state, emitted) do
+    Enum.reduce(emitted, state, fn {_output, time, _value}, state ->
+      %{state | last_time: max(time, state.last_time || time)}
+    end)
+  end
+
+  defp describe_error(error, nil, context), do: add_subject(error, context, "")
+
+  defp describe_error(error, {input, time, _message}, context) do
+    meta = Map.merge(error.meta, %{input: input, originating_time: time})
+
+    add_subject(
+      %{error | meta: meta},
+      context,
+      " for the message of #{input} at #{Situ.Time.to_iso8601(time)}"
+    )
+  end
+
+  defp add_subject(error, context, place),
+    do: %{error | what: "#{context.path} failed#{place}: #{error.what}"}
+
+  # No more messages will arrive, so this waits for all results.
+  @impl true
+  def handle_closed(input, time, context, state) do
+    state = %{state | open: state.open -- [input]}
+    if state.open == [], do: finish(time, context, state), else: {[], state}
+  end
+
+  defp finish(time, context, %{worker: worker} = state) when worker != nil do
+    Worker.send_close(worker, time)
+    {actions, state} = await_results([], time, context, state)
+    if state.worker != nil and state.opts.errors == :restart, do: plan_restart(:closed)
+    {actions, state}
+  end
+
+  defp finish(_time, _context, %{opts: %{errors: :stop}} = state), do: {[], state}
+  # The worker has failed, and the component has not been restarted yet.
+  defp finish(time, context, state), do: finish(time, context, start_again(state, context))
+
+  defp await_results(actions, time, context, state) do
+    case receive_event(state.worker) do
+      {:closed, result} ->
+        {emitted, state} = close_result(result, time, context, state)
+        {actions ++ emitted, state}
+
+      event ->
+        {emitted, state} = handle_event(event, context, state)
+        await_more(actions ++ emitted, time, context, state)
+    end
+  end
+
+  # The worker limits the time of each message.
+  defp receive_event(worker) do
+    receive do
+      {:situ_python, ^worker, event} -> event
+      {:EXIT, ^worker, reason} when reason != :normal -> {:ended, crash_error(reason)}
+    end
+  end
+
+  # With `:stop` nothing follows an error; otherwise all other results do.
+  defp await_more(actions, _time, _context, %{worker: nil, opts: %{errors: :stop}} = state),
+    do: {actions, state}
+
+  defp await_more(actions, time, context, %{worker: nil} = state) do
+    {more, state} = finish(time, context, start_again(state, context))
+    {actions ++ more, state}
+  end
+
+  defp await_more(actions, time, context, state), do: await_results(actions, time, context, state)
+
+  # The values of `on_close` without a time follow all others.
+  defp close_result({:ok, emitted}, time, _context, state) do
+    later = if state.last_time, do: max(time, state.last_time + 1), else: time
+
+    {for(
+       {output, at, value} <- emitted,
+       do: {output, if(at == time, do: later, else: at), value}
+     ), state}
+  end
+
+  defp close_result({:error, error}, _time, context, state),
+    do: {[], handle_failure(%{state | in_flight: :queue.new()}, error, context)}
+
+  @impl true
+  def terminate(_reason, state), do: stop_worker(state)
+
+  defp stop_worker(%{worker: nil}), do: :ok
+  defp stop_worker(%{worker: worker}), do: Worker.stop(worker)
+
+  @impl true
+  def snapshot(state) do
+    {:error,
+     Error.new(:no_snapshot, "a Python component cannot be part of a checkpoint",
+       why: "the state of #{state.opts.class} is in its worker",
+       fix: "leave it out of the parts that have checkpoints"
+     )}
+  end
+
+  @impl true
+  def describe(%{worker: nil} = state), do: "#{state.opts.class}, not running"
+
+  def describe(state) do
+    "#{state.opts.class}, process #{state.process}, Python #{state.version}, " <>
+      "#{:queue.len(state.in_flight)} messages in flight"
+  end
+end

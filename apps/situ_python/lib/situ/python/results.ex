@@ -1,0 +1,76 @@
+defmodule Situ.Python.Results do
+  @moduledoc false
+  # Converts the results of a worker to actions of the component, and checks every value against the type of its output.
+  alias Situ.{Error, Type}
+  alias Situ.Python.{Protocol, SharedMemory}
+
+  @typedoc "The result of one message: its actions, or why there are none."
+  @type t :: {:ok, [Situ.Component.action()]} | {:error, Error.t()}
+
+  @doc """
+  Converts one result. `outputs` are the names and types. Also returns the slots that were read and can be used again.
+  """
+  @spec convert_result(Protocol.result(), keyword(Type.t()), SharedMemory.t()) ::
+          {t(), [non_neg_integer()]}
+  def convert_result({:raised, text, fix}, _outputs, _memory),
+    do: {{:error, exception_error(text, fix)}, []}
+
+  def convert_result({:ok, emissions}, outputs, memory) do
+    slots = for {_output, _time, {:slot, slot}} <- emissions, do: slot.number
+    {Error.map_ok(emissions, &convert_emission(&1, outputs, memory)), slots}
+  end
+
+  defp convert_emission({index, time, place}, outputs, memory) do
+    with {:ok, {name, type}} <- fetch_output(outputs, index),
+         {:ok, bytes} <- read_place(place, memory),
+         {:ok, value} <- Protocol.decode_value(bytes),
+         {:ok, value} <- build_structs(value) do
+      if Type.valid_value?(type, value),
+        do: {:ok, {name, time, value}},
+        else: {:error, wrong_type(name, type, value)}
+    else
+      {:error, why} -> {:error, invalid_value(to_string(why))}
+    end
+  end
+
+  defp fetch_output(outputs, index) do
+    with :error <- Enum.fetch(outputs, index),
+         do: {:error, "there is no output with the number #{index}"}
+  end
+
+  defp read_place({:bytes, bytes}, _memory), do: {:ok, bytes}
+  defp read_place({:slot, slot}, memory), do: SharedMemory.read_value(memory, slot)
+
+  # Python may leave out the fields of a struct that have defaults. The decoder does not check the others.
+  defp build_structs(%module{} = struct) do
+    {:ok, struct!(module, Map.from_struct(struct))}
+  rescue
+    error -> {:error, Exception.message(error)}
+  end
+
+  defp build_structs(list) when is_list(list), do: Error.map_ok(list, &build_structs/1)
+  defp build_structs(value), do: {:ok, value}
+
+  defp wrong_type(name, type, value) do
+    Error.new(
+      :wrong_type,
+      "the output #{name} got #{inspect(value, limit: 5, printable_limit: 80)}",
+      why: "its type is #{Type.to_string(type)}",
+      fix: "return such a value, or change the type in out:"
+    )
+  end
+
+  defp invalid_value(why),
+    do: Error.new(:bad_python_value, "Python returned a value that cannot be read", why: why)
+
+  defp exception_error(text, fix) do
+    text = if String.valid?(text), do: text, else: inspect(text)
+    last = text |> String.split("\n") |> List.last()
+
+    Error.new(:python_failed, last,
+      why: text,
+      fix: if(fix != "", do: fix),
+      meta: %{traceback: text}
+    )
+  end
+end

@@ -1,0 +1,405 @@
+defmodule Situ.Python.Worker do
+  @moduledoc false
+  # The process that owns the Python program of one component, its socket and its shared memory. It is linked to the
+  # component, so both end together, and the program ends with this process in any case (`Situ.Python.Program`).
+  #
+  # The component receives `{:situ_python, worker, event}`:
+  #
+  #   * `{:ready, process, version}`: messages can be sent;
+  #   * `{:results, results}`: the results of the oldest messages, in order (`Situ.Python.Results`);
+  #   * `{:closed, result}`: the result of `on_close`;
+  #   * `{:ended, error}`: the program has ended, and nothing follows.
+  #
+  # Messages that arrive together are sent in one frame.
+  use GenServer, restart: :temporary
+
+  alias Situ.{Error, TempFolder}
+  alias Situ.Python.{LogLines, Program, Protocol, Results, SharedMemory}
+  require Logger
+
+  # Values of this size or larger go through shared memory.
+  @large 65_536
+  @frame_bytes 262_144
+  # The program has this long to end by itself after its socket has closed, and its last results to arrive, ms.
+  @exit_timeout 1_000
+
+  @type config :: %{
+          path: String.t(),
+          interpreter: Path.t(),
+          start: map(),
+          outputs: keyword(Situ.Type.t()),
+          timeout: timeout(),
+          shared_memory: pos_integer()
+        }
+
+  defstruct [
+    :owner,
+    :config,
+    :folder,
+    :port,
+    :listener,
+    :socket,
+    :memory,
+    :timer,
+    :ending,
+    phase: :starting,
+    lines: %LogLines{},
+    waiting: :queue.new(),
+    batch: [],
+    batch_bytes: 0,
+    in_flight: 0,
+    received: 0,
+    progress: 0
+  ]
+
+  @doc "Starts the program; the calling process is the component. Returns an error if the system lacks resources."
+  @spec start_link(config()) :: {:ok, pid()} | {:error, term()}
+  def start_link(config), do: GenServer.start_link(__MODULE__, {self(), config})
+
+  @doc "Sends a message: its fields before the place, and its encoded value."
+  @spec send_message(pid(), binary(), iodata()) :: :ok
+  def send_message(worker, head, value), do: GenServer.cast(worker, {:message, head, value})
+
+  @doc "Announces that all inputs have closed."
+  @spec send_close(pid(), Situ.Time.t()) :: :ok
+  def send_close(worker, time), do: GenServer.cast(worker, {:close, time})
+
+  @doc "Ends the program. It has a second to end by itself."
+  @spec stop(pid()) :: :ok
+  def stop(worker) do
+    GenServer.stop(worker, :normal, 5 * @exit_timeout)
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl true
+  def init({owner, config}) do
+    Process.flag(:trap_exit, true)
+    {:ok, %__MODULE__{owner: owner, config: config}, {:continue, :open}}
+  end
+
+  @impl true
+  def handle_continue(:open, state) do
+    with {:ok, folder} <- TempFolder.create_folder("python", SharedMemory.parent_folder()),
+         state = %{state | folder: folder},
+         {:ok, memory} <- SharedMemory.create_files(folder, state.config.shared_memory),
+         {:ok, listener} <- listen(Path.join(folder, "socket")) do
+      accept_connection(listener)
+      port = Program.start_worker(state.config.interpreter, Path.join(folder, "socket"))
+      {:noreply, %{state | memory: memory, listener: listener, port: port}}
+    else
+      {:error, %Error{} = error} ->
+        fail(state, error)
+
+      {:error, reason} ->
+        fail(state, start_error("#{inspect(reason)} in #{SharedMemory.parent_folder()}"))
+    end
+  end
+
+  defp listen(path) do
+    :gen_tcp.listen(0, [:binary, packet: 4, active: false, backlog: 1, ifaddr: {:local, path}])
+  end
+
+  # Accepting blocks, so a linked process does it.
+  defp accept_connection(listener) do
+    worker = self()
+
+    {:ok, _task} =
+      Task.start_link(fn ->
+        with {:ok, socket} <- :gen_tcp.accept(listener),
+             :ok <- :gen_tcp.controlling_process(socket, worker),
+             do: send(worker, {:accepted, socket})
+      end)
+  end
+
+  @impl true
+  def handle_cast({:message, head, value}, state) do
+    state = %{state | waiting: :queue.in({head, value, IO.iodata_length(value)}, state.waiting)}
+    state |> fill_batch() |> continue()
+  end
+
+  # `on_close` follows all messages.
+  def handle_cast({:close, time}, state) do
+    state = %{state | waiting: :queue.in({:close, time}, state.waiting)}
+    state |> fill_batch() |> continue()
+  end
+
+  # The batch is sent when no more messages wait in the mailbox.
+  @impl true
+  def handle_info(:timeout, state), do: {:noreply, send_batch(state)}
+
+  def handle_info({:accepted, socket}, state) do
+    :gen_tcp.close(state.listener)
+    start = Map.put(state.config.start, "folder", state.folder)
+    state = %{state | socket: socket, listener: nil}
+
+    case Protocol.encode_start(start) do
+      {:ok, frame} ->
+        :ok = :inet.setopts(socket, active: true, sndbuf: 1_048_576, recbuf: 1_048_576)
+        _ = :gen_tcp.send(socket, frame)
+        continue(state)
+
+      :error ->
+        fail(state, option_error(state))
+    end
+  end
+
+  def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
+    case Protocol.decode_frame(bytes) do
+      {:ok, frame} -> handle_frame(frame, state)
+      :error -> fail(state, protocol_error(state))
+    end
+  end
+
+  def handle_info({closed, socket}, %{socket: socket} = state) when closed == :tcp_closed,
+    do: expect_end(%{state | socket: nil})
+
+  def handle_info({:tcp_error, _socket, _reason}, state), do: continue(state)
+
+  def handle_info({port, {:data, {_end, line}}}, %{port: port} = state) do
+    {entries, lines} = LogLines.add_line(state.lines, line, System.monotonic_time(:millisecond))
+    for {level, text} <- entries, do: Logger.log(level, [state.config.path, ": ", text])
+    continue(%{state | lines: lines})
+  end
+
+  def handle_info({port, {:exit_status, status}}, %{port: port} = state),
+    do: expect_end(%{state | port: nil, ending: Program.describe_status(status)})
+
+  def handle_info(:exit_timeout, state), do: fail(report_journal(state), ended_error(state))
+
+  def handle_info({:check_progress, token}, %{timer: token} = state),
+    do: check_progress(%{state | timer: nil})
+
+  def handle_info({:EXIT, owner, reason}, %{owner: owner} = state), do: {:stop, reason, state}
+  def handle_info(_other, state), do: continue(state)
+
+  # The program has ended when its exit status is known and everything that it has sent was read.
+  defp expect_end(%{port: nil, socket: nil} = state),
+    do: fail(report_journal(state), ended_error(state))
+
+  defp expect_end(state) do
+    if state.phase != :ending, do: Process.send_after(self(), :exit_timeout, @exit_timeout)
+    continue(%{state | phase: :ending})
+  end
+
+  # Results that the program had not sent when it ended. The first ones may have arrived.
+  defp report_journal(state) do
+    with {sent, <<_, _::binary>> = bytes} when sent <= state.received <-
+           SharedMemory.read_journal(state.memory),
+         {:ok, {:results, results}} <- Protocol.decode_frame("T" <> bytes),
+         [_ | _] = results when length(results) <= state.in_flight <-
+           Enum.drop(results, state.received - sent) do
+      {converted, _slots} = convert_results(results, state)
+      report(state, {:results, converted})
+      state
+    else
+      _ -> state
+    end
+  end
+
+  defp handle_frame({:ready, process, version}, %{phase: :starting} = state) do
+    # Both sides have opened everything in the folder.
+    TempFolder.remove_folder(state.folder)
+    report(state, {:ready, process, to_string(version)})
+    %{state | phase: :running, folder: nil} |> fill_batch() |> continue()
+  end
+
+  defp handle_frame({:not_started, term}, %{phase: :starting} = state),
+    do: fail(state, not_started_error(state, term))
+
+  defp handle_frame({:results, results}, state) when length(results) <= state.in_flight do
+    {converted, slots} = convert_results(results, state)
+    report(state, {:results, converted})
+    if slots != [], do: send_frame(state, Protocol.encode_return(slots))
+
+    state
+    |> Map.update!(:in_flight, &(&1 - length(results)))
+    |> Map.update!(:received, &(&1 + length(results)))
+    |> record_progress()
+    |> fill_batch()
+    |> continue()
+  end
+
+  defp handle_frame({:returned, slots}, state) do
+    case SharedMemory.free_slots(state.memory, slots) do
+      {:ok, memory} -> %{state | memory: memory} |> fill_batch() |> continue()
+      :error -> fail(state, protocol_error(state))
+    end
+  end
+
+  defp handle_frame({:closed, result}, state) do
+    {converted, _slots} = Results.convert_result(result, state.config.outputs, state.memory)
+    report(state, {:closed, converted})
+    continue(%{state | in_flight: 0})
+  end
+
+  defp handle_frame(_frame, state), do: fail(state, protocol_error(state))
+
+  defp convert_results(results, state) do
+    {converted, slots} =
+      results
+      |> Enum.map(&Results.convert_result(&1, state.config.outputs, state.memory))
+      |> Enum.unzip()
+
+    {converted, List.flatten(slots)}
+  end
+
+  # Moves waiting messages to the batch, until one needs shared memory that is in use.
+  defp fill_batch(%{phase: :running} = state) do
+    case :queue.peek(state.waiting) do
+      :empty -> state
+      {:value, {:close, time}} -> state |> send_batch() |> close_inputs(time)
+      {:value, message} -> place_message(state, message)
+    end
+  end
+
+  defp fill_batch(state), do: state
+
+  defp close_inputs(state, time) do
+    send_frame(state, Protocol.encode_close(time))
+    state = %{state | waiting: :queue.drop(state.waiting), in_flight: state.in_flight + 1}
+    record_progress(state)
+  end
+
+  defp place_message(state, {head, value, length}) when length < @large,
+    do: add_to_batch(state, head, {:bytes, value}, length)
+
+  defp place_message(state, {head, value, length}) do
+    case SharedMemory.write_value(state.memory, value, length) do
+      {:ok, slot, memory} -> add_to_batch(%{state | memory: memory}, head, {:slot, slot}, 0)
+      :full when state.in_flight > 0 or state.batch != [] -> send_batch(state)
+      :full -> add_to_batch(state, head, {:bytes, value}, length)
+    end
+  end
+
+  defp add_to_batch(state, head, place, length) do
+    state = %{
+      state
+      | waiting: :queue.drop(state.waiting),
+        batch: [state.batch, head, Protocol.encode_place(place)],
+        batch_bytes: state.batch_bytes + length,
+        in_flight: state.in_flight + 1
+    }
+
+    state = if state.in_flight == 1, do: record_progress(state), else: state
+    state = if state.batch_bytes > @frame_bytes, do: send_batch(state), else: state
+    fill_batch(state)
+  end
+
+  defp send_batch(%{batch: []} = state), do: state
+
+  defp send_batch(state) do
+    send_frame(state, Protocol.encode_messages(state.batch))
+    %{state | batch: [], batch_bytes: 0}
+  end
+
+  # If the connection has ended, so has the program, and its exit status is about to arrive.
+  defp send_frame(%{socket: nil}, _frame), do: :ok
+
+  defp send_frame(%{socket: socket}, frame) do
+    _ = :gen_tcp.send(socket, frame)
+    :ok
+  end
+
+  defp continue(%{batch: []} = state), do: {:noreply, state}
+  defp continue(state), do: {:noreply, state, 0}
+
+  # One timer is enough: when it is due, it is set again for the rest of the time.
+  defp record_progress(%{config: %{timeout: :infinity}} = state), do: state
+
+  defp record_progress(state),
+    do: set_timer(%{state | progress: System.monotonic_time(:millisecond)}, state.config.timeout)
+
+  defp set_timer(%{timer: nil, in_flight: n} = state, ms) when n > 0 do
+    token = make_ref()
+    Process.send_after(self(), {:check_progress, token}, ms)
+    %{state | timer: token}
+  end
+
+  defp set_timer(state, _ms), do: state
+
+  defp check_progress(%{in_flight: 0} = state), do: continue(state)
+
+  defp check_progress(state) do
+    left = state.progress + state.config.timeout - System.monotonic_time(:millisecond)
+    if left > 0, do: continue(set_timer(state, left)), else: fail(state, late_error(state))
+  end
+
+  defp fail(state, error) do
+    report(state, {:ended, error})
+    {:stop, :normal, %{state | phase: :failed}}
+  end
+
+  defp report(state, event), do: send(state.owner, {:situ_python, self(), event})
+
+  @impl true
+  def terminate(_reason, state) do
+    if state.socket, do: :gen_tcp.close(state.socket)
+    if state.phase == :running, do: await_exit(state.port)
+    if state.port, do: close_port(state.port)
+    if state.memory, do: SharedMemory.close_files(state.memory)
+    if state.folder, do: TempFolder.remove_folder(state.folder)
+  end
+
+  defp await_exit(port) do
+    receive do
+      {^port, {:exit_status, _}} -> :ok
+    after
+      @exit_timeout -> :ok
+    end
+  end
+
+  # Closing the port kills the program.
+  defp close_port(port) do
+    Port.close(port)
+  rescue
+    ArgumentError -> true
+  end
+
+  defp start_error(why) do
+    Error.new(:python_not_started, "the Python worker cannot be started",
+      why: why,
+      fix: "free memory or disk space, or lower shared_memory:"
+    )
+  end
+
+  defp option_error(_state) do
+    Error.new(:bad_python_options, "the options cannot be sent to Python",
+      why: "they contain functions, processes or references",
+      fix: "use numbers, strings, booleans, lists and maps in options:"
+    )
+  end
+
+  defp not_started_error(_state, term) do
+    text = fn key -> if is_binary(term[key]), do: term[key] end
+    Error.new(start_code(term["code"]), term["what"], why: text.("why"), fix: text.("fix"))
+  end
+
+  defp start_code("no_python_class"), do: :no_python_class
+  defp start_code("no_python_module"), do: :no_python_module
+  defp start_code("bad_component"), do: :bad_component
+  defp start_code(_other), do: :python_failed
+
+  defp protocol_error(_state) do
+    Error.new(:bad_python_frame, "the Python worker sent invalid data",
+      fix: "the component must not use the socket that connects it to Situ"
+    )
+  end
+
+  defp ended_error(state) do
+    why = state.ending || "it closed its connection"
+    tail = LogLines.last_lines(state.lines)
+
+    Error.new(:python_ended, "the Python worker has ended",
+      why: if(tail == "", do: why, else: "#{why}; its last output was:\n#{tail}"),
+      fix: "correct the component, or restart it with on_error: :restart"
+    )
+  end
+
+  defp late_error(state) do
+    Error.new(:timeout, "the Python worker did not finish within #{state.config.timeout} ms",
+      why: "the component was still handling this message, and the worker was killed",
+      fix: "increase timeout:, or use on_error: :restart or :skip"
+    )
+  end
+end

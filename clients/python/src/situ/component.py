@@ -1,0 +1,89 @@
+"""Components of a Situ pipeline that are written in Python; `Situ.Python.component` starts them.
+
+    import situ
+
+    class Detector(situ.Component):
+        def setup(self, threshold):
+            self.threshold = threshold
+
+        def on_image(self, image, message):
+            return {"brightness": float(image.array.mean()), "bright": image.array.mean() > self.threshold}
+
+Situ runs each component in a process of its own, and restarts it as its `on_error:` demands.
+"""
+
+import dataclasses
+
+
+@dataclasses.dataclass
+class Envelope:
+    """The facts about a message: its times (nanoseconds since 1970), sequence number and input."""
+
+    time: int
+    creation: int
+    sequence: int
+    input: str
+
+
+class Component:
+    """Base class of components.
+
+    A component defines `on_NAME(self, value, message)` for each input NAME, or `on_message(self, value, message)` for
+    all inputs. `value` is the data, and `message` its `Envelope`. Images, audio, tensors and clouds refer to memory
+    that is shared with Situ: their arrays are not copies and cannot be written to.
+
+    A handler returns None, a dict with values for outputs, or a list of results. Each result is a dict, or a tuple of
+    a time (nanoseconds) and a dict. Without a time, values get the time of the message.
+    """
+
+    def setup(self, **options):
+        """Prepares the component before its first message; receives the options as keyword arguments."""
+        if options:
+            raise TypeError(f"{type(self).__name__} has no method setup, so it takes no options: {sorted(options)}")
+
+    def on_close(self, time):
+        """Handles the end of all inputs at `time`; returns results like a handler."""
+
+
+def find_handlers(component, inputs):
+    """Returns the handler of each input. Raises TypeError if one is missing."""
+    handlers = []
+    for name in inputs:
+        handler = getattr(component, f"on_{name}", None) or getattr(component, "on_message", None)
+        if not callable(handler):
+            kind = type(component).__name__
+            defined = sorted(key for key in dir(component) if key.startswith("on_") and key != "on_close")
+            raise TypeError(
+                f"{kind} does not handle the input {name}: define on_{name}(self, value, message)"
+                + (f"; it defines {', '.join(defined)}" if defined else "")
+            )
+        handlers.append(handler)
+    return handlers
+
+
+def list_results(returned, time):
+    """Converts the return value of a handler to a list of (time, dict). Raises TypeError."""
+    if returned is None:
+        return []
+    if isinstance(returned, dict):
+        return [(time, returned)]
+    if not isinstance(returned, list):
+        what = f"the handler returned {_describe(returned)}"
+        raise TypeError(f"{what}: return a dict of outputs, None, or a list of dicts")
+    return [_check_result(result, time) for result in returned]
+
+
+def _check_result(result, time):
+    if isinstance(result, dict):
+        return time, result
+    if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):
+        # bool is an int, and numpy integers are not.
+        if hasattr(result[0], "__index__") and not isinstance(result[0], bool):
+            return result[0].__index__(), result[1]
+    what = f"the list contains {_describe(result)}"
+    raise TypeError(f"{what}: each result is a dict, or a tuple of a time (int) and a dict")
+
+
+def _describe(value):
+    text = repr(value)
+    return f"a {type(value).__name__}, {text if len(text) <= 60 else text[:57] + '...'}"

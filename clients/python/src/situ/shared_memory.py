@@ -1,0 +1,117 @@
+"""Memory that a component shares with Situ: files of slots, for values that are too large for the socket."""
+
+import mmap
+import os
+import struct
+import sys
+
+from .binary import Damaged
+
+PAGE = 4_096
+
+
+class InputSlots:
+    """Slots that Situ fills. A slot is in use until no value in Python refers to it."""
+
+    def __init__(self, path):
+        self._file = os.open(path, os.O_RDONLY)
+        self._maps = {}
+        self._used = set()
+
+    def view(self, slot, offset, capacity, length):
+        """Returns the bytes of a slot as a read-only memoryview."""
+        if slot not in self._maps:
+            if offset % PAGE or os.fstat(self._file).st_size < offset + capacity:
+                raise Damaged(f"slot {slot} ({capacity} bytes at {offset}) is outside of the shared memory")
+            self._maps[slot] = mmap.mmap(self._file, capacity, access=mmap.ACCESS_READ, offset=offset)
+        memory = self._maps[slot]
+        if not 0 < length <= len(memory):
+            raise Damaged(f"slot {slot} has {len(memory)} bytes, not {length}")
+        self._used.add(slot)
+        return memoryview(memory)[:length]
+
+    def release(self):
+        """Returns the slots that are no longer in use."""
+        # A view holds a reference to its map. The others are the dict and the argument of getrefcount.
+        free = [slot for slot in self._used if sys.getrefcount(self._maps[slot]) <= 2]
+        self._used.difference_update(free)
+        return free
+
+
+class OutputSlots:
+    """Slots that Python fills, and that Situ returns after reading. Slots are added up to `limit` bytes."""
+
+    def __init__(self, path, limit):
+        self._file = os.open(path, os.O_RDWR)
+        self._limit, self._size = limit, 0
+        self._slots = []
+        self._free = []
+
+    def write(self, parts):
+        """Copies buffers into a slot; returns (slot, offset, capacity, length), or None if there is no room."""
+        length = sum(part.nbytes for part in parts)
+        slot = self._take_slot(length)
+        if slot is None:
+            return None
+        offset, capacity, memory = self._slots[slot]
+        position = 0
+        for part in parts:
+            memory[position : position + part.nbytes] = part
+            position += part.nbytes
+        return slot, offset, capacity, length
+
+    def give_back(self, slots):
+        """Marks slots as free."""
+        self._free.extend(slots)
+
+    def _take_slot(self, length):
+        for index in range(len(self._free) - 1, -1, -1):
+            if self._slots[self._free[index]][1] >= length:
+                return self._free.pop(index)
+        return self._add_slot(-(-length // PAGE) * PAGE)
+
+    def _add_slot(self, capacity):
+        if self._size + capacity > self._limit:
+            return None
+        try:
+            # Without its pages, writing to the map of a full file system would end the process.
+            os.posix_fallocate(self._file, self._size, capacity)
+            memory = memoryview(mmap.mmap(self._file, capacity, offset=self._size))
+        except (OSError, ValueError):
+            return None
+        self._slots.append((self._size, capacity, memory))
+        self._size += capacity
+        return len(self._slots) - 1
+
+
+class Journal:
+    """Results that were not sent yet. They outlive this process: if it crashes, Situ reads them here.
+
+    The file begins with the number of results before these, and the length of these.
+    """
+
+    HEAD = struct.Struct("<QQ")
+
+    def __init__(self, path):
+        with open(path, "r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), 0)
+        self._sent = self._count = self._length = 0
+
+    def append(self, result):
+        """Appends a result; returns False if it does not fit."""
+        start = self.HEAD.size + self._length
+        if start + len(result) > len(self._memory):
+            return False
+        self._memory[start : start + len(result)] = result
+        self._count, self._length = self._count + 1, self._length + len(result)
+        self.HEAD.pack_into(self._memory, 0, self._sent, self._length)
+        return True
+
+    def read_results(self):
+        """Returns all results, as one sequence of bytes."""
+        return self._memory[self.HEAD.size : self.HEAD.size + self._length]
+
+    def clear(self, extra=0):
+        """Forgets the results, because they were sent, as were `extra` others."""
+        self._sent, self._count, self._length = self._sent + self._count + extra, 0, 0
+        self.HEAD.pack_into(self._memory, 0, self._sent, 0)

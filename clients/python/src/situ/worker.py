@@ -1,0 +1,311 @@
+"""The program that runs one component: `python -m situ.worker SOCKET`. `Situ.Python.component` starts it.
+
+Situ and the worker exchange frames over a Unix socket: a length (32 bits, big-endian), a letter, and fields in
+little-endian order. `Situ.Python.Protocol` is the counterpart and describes the frames.
+"""
+
+import importlib
+import importlib.util
+import logging
+import os
+import pathlib
+import socket
+import struct
+import sys
+import time as clock
+import traceback
+
+from . import component, shared_memory, terms, values
+from .binary import Damaged, Missing
+
+_MESSAGE = struct.Struct("<BqqQB")
+_SLOT = struct.Struct("<IQQQ")
+_LENGTH = struct.Struct("<I")
+_EMISSION = struct.Struct("<BqB")
+_RECEIVE = 1 << 18
+# Values of this size or larger go through shared memory.
+_LARGE = 1 << 16
+# Results wait for others at most this long.
+_FLUSH_SECONDS = 0.001
+
+
+class StartError(Exception):
+    """The component cannot be started: a code for programs, and what, why and fix for people."""
+
+    def __init__(self, code, what, why=None, fix=None):
+        super().__init__(what)
+        self.term = {"code": code, "what": what, "why": why, "fix": fix}
+
+
+class Connection:
+    """Reads and writes frames."""
+
+    def __init__(self, path):
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.connect(path)
+        self._received = bytearray()
+
+    def read_frame(self):
+        """Returns the next frame, or None at the end of the connection."""
+        while True:
+            if len(self._received) >= 4:
+                (length,) = struct.unpack_from(">I", self._received)
+                if len(self._received) >= 4 + length:
+                    frame = bytes(memoryview(self._received)[4 : 4 + length])
+                    del self._received[: 4 + length]
+                    return frame
+            part = self._socket.recv(_RECEIVE)
+            if not part:
+                return None
+            self._received += part
+
+    def write_frame(self, *parts):
+        size = sum(len(part) for part in parts)
+        self._socket.sendall(b"".join((struct.pack(">I", size), *parts)))
+
+    def close(self):
+        self._socket.close()
+
+
+class Worker:
+    """Calls the component for each message and returns its results."""
+
+    def __init__(self, connection):
+        self._connection = connection
+        self._flushed = 0.0
+        self._failed = False
+
+    def start(self, term):
+        self._inputs, self._outputs = term["inputs"], {name: i for i, name in enumerate(term["outputs"])}
+        self._image_outputs = {i for i, kind in enumerate(term["types"]) if kind == "Situ.Image"}
+        self._stops = term["on_error"] != "skip"
+        if term["memory"]:
+            _limit_memory(term["memory"])
+        folder = pathlib.Path(term["folder"])
+        self._slots = shared_memory.InputSlots(folder / "in")
+        self._out = shared_memory.OutputSlots(folder / "out", term["shared"])
+        self._journal = shared_memory.Journal(folder / "journal")
+        kind = _load_class(term["source"], term["class"])
+        self._component = kind()
+        options = {str(key): value for key, value in term["options"].items()}
+        try:
+            self._component.setup(**options)
+        except Exception:
+            raise StartError("python_failed", f"{kind.__name__}.setup failed", _format_exception()) from None
+        try:
+            self._handlers = component.find_handlers(self._component, self._inputs)
+        except TypeError as error:
+            raise StartError("bad_component", str(error)) from None
+        version = ".".join(str(part) for part in sys.version_info[:3])
+        self._connection.write_frame(b"O", _LENGTH.pack(os.getpid()), version.encode())
+
+    def run(self):
+        """Handles frames until the connection ends."""
+        process = os.getpid()
+        while True:
+            frame = self._connection.read_frame()
+            if frame is None:
+                return
+            kind = frame[:1]
+            if kind == b"M":
+                self._handle_messages(frame)
+            elif kind == b"R":
+                self._out.give_back(slot for (slot,) in _LENGTH.iter_unpack(frame[1:]))
+            elif kind == b"C":
+                (time,) = struct.unpack_from("<q", frame, 1)
+                self._connection.write_frame(b"D", self._call(self._component.on_close, time, time))
+            else:
+                raise Damaged(f"unknown frame {kind!r}")
+            if os.getpid() != process:
+                # A handler has forked and its child came back. The messages belong to the parent.
+                os._exit(0)
+
+    def _handle_messages(self, frame):
+        position, process = 1, os.getpid()
+        while position < len(frame):
+            index, time, creation, sequence, shared = _MESSAGE.unpack_from(frame, position)
+            position += _MESSAGE.size
+            if shared:
+                place = _SLOT.unpack_from(frame, position)
+                position += _SLOT.size
+            else:
+                (length,) = _LENGTH.unpack_from(frame, position)
+                position += 4
+                place = frame[position : position + length]
+                position += length
+            if self._failed:
+                continue
+            envelope = component.Envelope(time, creation, sequence, self._inputs[index])
+            result = self._call(self._handle, time, index, place, envelope)
+            # The slot of the value can be used again.
+            del place
+            if os.getpid() != process:
+                os._exit(0)
+            self._add_result(result)
+            if self._failed or clock.monotonic() - self._flushed > _FLUSH_SECONDS:
+                self._flush()
+        self._flush()
+
+    def _handle(self, index, place, envelope):
+        raw = place if isinstance(place, bytes) else self._slots.view(*place)
+        return self._handlers[index](_decode_value(raw), envelope)
+
+    def _call(self, function, time, *arguments):
+        """Calls a function of the component; returns its encoded result."""
+        try:
+            results = component.list_results(function(*arguments), time)
+            emissions = [self._encode(time, name, value) for time, dict in results for name, value in dict.items()]
+            return b"".join((b"\0", struct.pack("<H", len(emissions)), *emissions))
+        except (Exception, SystemExit, KeyboardInterrupt):
+            self._failed = self._stops
+            text, fix = (part.encode(errors="replace") for part in (_format_exception(), _find_fix()))
+            return b"".join((b"\1", _LENGTH.pack(len(text)), text, _LENGTH.pack(len(fix)), fix))
+
+    def _encode(self, time, name, value):
+        index = self._outputs.get(name)
+        if index is None:
+            raise TypeError(f"there is no output {name!r}: the outputs are {', '.join(self._outputs)}")
+        if index in self._image_outputs and hasattr(value, "__array__"):
+            value = values.Image.from_array(value, copy=False)
+        parts = _encode_value(value)
+        length = sum(part.nbytes for part in parts)
+        if length >= _LARGE:
+            place = self._out.write(parts)
+            if place:
+                return _EMISSION.pack(index, time, 1) + _SLOT.pack(*place)
+        return b"".join((_EMISSION.pack(index, time, 0), _LENGTH.pack(length), *parts))
+
+    def _add_result(self, result):
+        if not self._journal.append(result):
+            self._flush()
+            if not self._journal.append(result):
+                self._connection.write_frame(b"T", result)
+                self._journal.clear(extra=1)
+
+    def _flush(self):
+        results = self._journal.read_results()
+        if results:
+            self._connection.write_frame(b"T", results)
+            self._journal.clear()
+        free = self._slots.release()
+        if free:
+            self._connection.write_frame(b"L", *(_LENGTH.pack(slot) for slot in free))
+        self._flushed = clock.monotonic()
+
+
+def _decode_value(raw):
+    """Decodes a value in the format `"situ"` without its time (`situ.formats`)."""
+    size = raw[0]
+    payload = raw[1 + size :]
+    if size:
+        return values.decode_value(bytes(raw[1 : 1 + size]).decode(), payload)
+    return terms.decode_term(payload)
+
+
+def _encode_value(value):
+    """Encodes a value in the format `"situ"` without its time; returns memoryviews of bytes."""
+    value = values.to_writable(value)
+    codec = values.find_codec(value)
+    if codec:
+        return [memoryview(bytes([len(codec.NAME)]) + codec.NAME.encode()), *values.encode_parts(value)]
+    return [memoryview(b"\0" + terms.encode_term(value))]
+
+
+def _load_class(source, name):
+    module = _load_file(source) if source.endswith(".py") else _load_module(source)
+    kind = getattr(module, name, None)
+    if kind is None:
+        local = lambda value: isinstance(value, type) and value.__module__ == module.__name__
+        classes = [key for key, value in vars(module).items() if local(value)]
+        known = f"it defines {', '.join(classes)}" if classes else "it defines no class"
+        raise StartError("no_python_class", f"{source} has no class {name}", known, f"write {source}:CLASS")
+    if not (isinstance(kind, type) and issubclass(kind, component.Component)):
+        what, why = f"{name} in {source} is not a component", "it does not inherit situ.Component"
+        raise StartError("bad_component", what, why, f"write class {name}(situ.Component)")
+    return kind
+
+
+def _load_file(source):
+    path = pathlib.Path(source).resolve()
+    sys.path[0:0] = [str(path.parent)]
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    # Modules that refer to themselves (pickle, dataclasses) find the module here.
+    sys.modules[path.stem] = module
+    return _import(source, lambda: spec.loader.exec_module(module) or module)
+
+
+def _load_module(source):
+    sys.path[0:0] = [os.getcwd()]
+    return _import(source, lambda: importlib.import_module(source))
+
+
+def _import(source, load):
+    try:
+        return load()
+    except ModuleNotFoundError as error:
+        why = f"{sys.executable} has no module {error.name!r}"
+        fix = f"{sys.executable} -m pip install {(error.name or '').partition('.')[0]}, or choose another python:"
+        raise StartError("no_python_module", f"{source} cannot be imported", why, fix) from None
+    except (Exception, SystemExit):
+        raise StartError("python_failed", f"{source} cannot be imported", _format_exception()) from None
+
+
+def _format_exception():
+    """Formats the current exception without the frames of this package at the beginning."""
+    kind, error, trace = sys.exc_info()
+    here = os.path.dirname(__file__) + os.sep
+    while trace.tb_next and trace.tb_frame.f_code.co_filename.startswith((here, "<frozen importlib")):
+        trace = trace.tb_next
+    return "".join(traceback.format_exception(kind, error, trace)).rstrip()
+
+
+def _find_fix():
+    """Proposes how to fix the current exception, or returns an empty string."""
+    error = sys.exc_info()[1]
+    missing = "numpy" if isinstance(error, Missing) and "numpy" in str(error) else getattr(error, "name", None)
+    if isinstance(error, (Missing, ModuleNotFoundError)) and missing:
+        return f"{sys.executable} -m pip install {missing.partition('.')[0]}, or choose another python:"
+    return "increase memory:" if isinstance(error, MemoryError) else ""
+
+
+def _limit_memory(size):
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+
+class _LogHandler(logging.StreamHandler):
+    """Writes log records to standard error. Situ reads the level from the prefix, as journald does."""
+
+    LEVELS = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (0, 7))
+
+    def format(self, record):
+        level = next(level for least, level in self.LEVELS if record.levelno >= least)
+        return "\n".join(f"<{level}>{line}" for line in super().format(record).splitlines())
+
+
+def main(path):
+    # The group contains the processes that the component starts, so that all of them can be ended together.
+    os.setpgid(0, 0)
+    import faulthandler
+
+    faulthandler.enable()
+    handler = _LogHandler()
+    handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    # `-m` puts the current folder first, where a file could hide a module of the standard library.
+    sys.path[:] = [folder for folder in sys.path if folder not in ("", os.getcwd())]
+    connection = Connection(path)
+    os.register_at_fork(after_in_child=connection.close)
+    worker = Worker(connection)
+    try:
+        worker.start(terms.decode_term(connection.read_frame()[1:]))
+    except StartError as error:
+        connection.write_frame(b"E", terms.encode_term(error.term))
+        return
+    worker.run()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
