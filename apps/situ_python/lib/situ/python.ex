@@ -49,6 +49,7 @@ defmodule Situ.Python do
   """
   alias Situ.{Argument, Error, Options, Stream}
   alias Situ.Graph.Placement
+  alias Situ.Python.{Component, SingleComponent}
 
   @schema [
     python: [
@@ -122,10 +123,11 @@ defmodule Situ.Python do
     ]
 
     own = Keyword.delete(own, :out) ++ settings
+    module = if length(streams) == 1, do: SingleComponent, else: Component
 
     Situ.via(
       streams,
-      Situ.Python.Component,
+      module,
       own ++ ports ++ Keyword.put_new(placement, :default_name, class)
     )
   end

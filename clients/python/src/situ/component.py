@@ -12,11 +12,10 @@
 Situ runs each component in a process of its own, and restarts it as its `on_error:` demands.
 """
 
-import dataclasses
+from typing import NamedTuple
 
 
-@dataclasses.dataclass
-class Envelope:
+class Envelope(NamedTuple):
     """The facts about a message: its times (nanoseconds since 1970), sequence number and input."""
 
     time: int

@@ -17,6 +17,8 @@ from .binary import Cursor, Damaged
 
 MAX_DEPTH = 512
 _VERSION = 131
+_FLOAT = struct.Struct(">BBd")
+_INT = struct.Struct(">BBi")
 _FLOAT_ATOMS = {"nan": math.nan, "infinity": math.inf, "neg_infinity": -math.inf}
 _ATOM_VALUES = {"true": True, "false": False, "nil": None, **_FLOAT_ATOMS}
 
@@ -49,6 +51,11 @@ class Struct(dict):
 
 def decode_term(data):
     """Decodes a term. Raises `Damaged`, also for functions, processes and compressed terms."""
+    # Plain numbers are by far the most frequent terms.
+    if len(data) == 10 and data[0] == _VERSION and data[1] == 70:
+        return _FLOAT.unpack(data)[2]
+    if len(data) == 6 and data[0] == _VERSION and data[1] == 98:
+        return _INT.unpack(data)[2]
     cursor = Cursor(data)
     if cursor.read_bytes(1)[0] != _VERSION:
         raise Damaged("a term does not begin with byte 131")
@@ -162,6 +169,11 @@ _READERS = {
 
 def encode_term(term):
     """Encodes a term. Raises TypeError for values that are not plain data."""
+    kind = type(term)
+    if kind is float and math.isfinite(term):
+        return _FLOAT.pack(_VERSION, 70, term)
+    if kind is int and 256 <= term < 1 << 31:
+        return _INT.pack(_VERSION, 98, term)
     out = bytearray([_VERSION])
     _write_term(term, out, 0)
     return bytes(out)

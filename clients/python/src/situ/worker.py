@@ -26,7 +26,7 @@ _RECEIVE = 1 << 18
 # Values of this size or larger go through shared memory.
 _LARGE = 1 << 16
 # Results wait for others at most this long.
-_FLUSH_SECONDS = 0.001
+_FLUSH_NS = 1_000_000
 
 
 class StartError(Exception):
@@ -72,8 +72,15 @@ class Worker:
 
     def __init__(self, connection):
         self._connection = connection
-        self._flushed = 0.0
+        self._started = 0
         self._failed = False
+        self._forked = False
+        os.register_at_fork(after_in_child=self._leave_connection)
+
+    def _leave_connection(self):
+        """Leaves the messages to the parent, after a handler has forked."""
+        self._connection.close()
+        self._forked = True
 
     def start(self, term):
         self._inputs, self._outputs = term["inputs"], {name: i for i, name in enumerate(term["outputs"])}
@@ -101,7 +108,6 @@ class Worker:
 
     def run(self):
         """Handles frames until the connection ends."""
-        process = os.getpid()
         while True:
             frame = self._connection.read_frame()
             if frame is None:
@@ -116,13 +122,11 @@ class Worker:
                 self._connection.write_frame(b"D", self._call(self._component.on_close, time, time))
             else:
                 raise Damaged(f"unknown frame {kind!r}")
-            if os.getpid() != process:
-                # A handler has forked and its child came back. The messages belong to the parent.
-                os._exit(0)
 
     def _handle_messages(self, frame):
-        position, process = 1, os.getpid()
-        while position < len(frame):
+        position, size = 1, len(frame)
+        self._started = clock.monotonic_ns()
+        while position < size:
             index, time, creation, sequence, shared = _MESSAGE.unpack_from(frame, position)
             position += _MESSAGE.size
             if shared:
@@ -136,13 +140,8 @@ class Worker:
             if self._failed:
                 continue
             envelope = component.Envelope(time, creation, sequence, self._inputs[index])
-            result = self._call(self._handle, time, index, place, envelope)
-            # The slot of the value can be used again.
-            del place
-            if os.getpid() != process:
-                os._exit(0)
-            self._add_result(result)
-            if self._failed or clock.monotonic() - self._flushed > _FLUSH_SECONDS:
+            self._add_result(self._call(self._handle, time, index, place, envelope))
+            if self._failed or clock.monotonic_ns() - self._started > _FLUSH_NS:
                 self._flush()
         self._flush()
 
@@ -153,7 +152,10 @@ class Worker:
     def _call(self, function, time, *arguments):
         """Calls a function of the component; returns its encoded result."""
         try:
-            results = component.list_results(function(*arguments), time)
+            returned = function(*arguments)
+            if self._forked:
+                os._exit(0)
+            results = component.list_results(returned, time)
             emissions = [self._encode(time, name, value) for time, dict in results for name, value in dict.items()]
             return b"".join((b"\0", struct.pack("<H", len(emissions)), *emissions))
         except (Exception, SystemExit, KeyboardInterrupt):
@@ -167,6 +169,9 @@ class Worker:
             raise TypeError(f"there is no output {name!r}: the outputs are {', '.join(self._outputs)}")
         if index in self._image_outputs and hasattr(value, "__array__"):
             value = values.Image.from_array(value, copy=False)
+        if type(value) in (float, int):
+            raw = terms.encode_term(value)
+            return _EMISSION.pack(index, time, 0) + _LENGTH.pack(len(raw) + 1) + b"\0" + raw
         parts = _encode_value(value)
         length = sum(part.nbytes for part in parts)
         if length >= _LARGE:
@@ -179,18 +184,22 @@ class Worker:
         if not self._journal.append(result):
             self._flush()
             if not self._journal.append(result):
-                self._connection.write_frame(b"T", result)
+                self._connection.write_frame(b"T", self._measure_spent(), result)
                 self._journal.clear(extra=1)
 
     def _flush(self):
         results = self._journal.read_results()
         if results:
-            self._connection.write_frame(b"T", results)
+            self._connection.write_frame(b"T", self._measure_spent(), results)
             self._journal.clear()
         free = self._slots.release()
         if free:
             self._connection.write_frame(b"L", *(_LENGTH.pack(slot) for slot in free))
-        self._flushed = clock.monotonic()
+
+    def _measure_spent(self):
+        """Returns the encoded time since the last results, or since the frame has arrived."""
+        started, self._started = self._started, clock.monotonic_ns()
+        return struct.pack("<Q", self._started - started)
 
 
 def _decode_value(raw):
@@ -297,7 +306,6 @@ def main(path):
     # `-m` puts the current folder first, where a file could hide a module of the standard library.
     sys.path[:] = [folder for folder in sys.path if folder not in ("", os.getcwd())]
     connection = Connection(path)
-    os.register_at_fork(after_in_child=connection.close)
     worker = Worker(connection)
     try:
         worker.start(terms.decode_term(connection.read_frame()[1:]))

@@ -6,8 +6,18 @@ defmodule Situ.Python.Component do
   # An error is a separate message to this process, so that handling it undoes nothing else (as in `Situ.MapAsync`). The
   # message at which Python failed is lost. With `:skip` and `:restart`, the messages after it are sent again if they had
   # no result yet.
-  use Situ.Component,
-    options: [
+  use Situ.Component
+
+  alias Situ.Error
+  alias Situ.Python.{Program, Protocol, Window, Worker}
+
+  # A restart begins with a new state, so the remaining work is kept here: a list of messages to handle again, or
+  # `:closed` after the end of all inputs.
+  @after_restart {__MODULE__, :after_restart}
+
+  @impl true
+  def options do
+    [
       source: [type: :string, required: true],
       class: [type: :string, required: true],
       python: [type: :string, required: true],
@@ -20,13 +30,7 @@ defmodule Situ.Python.Component do
       shared_memory: [type: :any, required: true],
       errors: [type: {:in, [:stop, :skip, :restart]}, required: true]
     ]
-
-  alias Situ.Error
-  alias Situ.Python.{Program, Protocol, Window, Worker}
-
-  # A restart begins with a new state, so the remaining work is kept here: a list of messages to handle again, or
-  # `:closed` after the end of all inputs.
-  @after_restart {__MODULE__, :after_restart}
+  end
 
   @impl true
   def init(opts) do
@@ -43,7 +47,8 @@ defmodule Situ.Python.Component do
        version: nil,
        in_flight: :queue.new(),
        window: Window.new(),
-       last_time: nil
+       last_time: nil,
+       held?: false
      }}
   end
 
@@ -56,8 +61,7 @@ defmodule Situ.Python.Component do
       entries ->
         Process.delete(@after_restart)
         state = start_worker(state, context)
-        state = Enum.reduce(entries, state, &submit(&2, &1))
-        {hold_or_resume(state), state}
+        {[], submit(state, entries)}
     end
   end
 
@@ -120,10 +124,19 @@ defmodule Situ.Python.Component do
 
   @impl true
   def handle_message(input, message, context, state) do
-    entry = {input, message.originating_time, encode_message(input, message, context, state)}
-    state = submit(state, entry)
-    {hold_or_resume(state), state}
+    hold_or_resume([], submit(state, [build_entry(input, message, context, state)]))
   end
+
+  @doc "Handles several messages of the only input."
+  @spec handle_batch(atom(), [Situ.Message.t()], Situ.Component.Context.t(), map()) ::
+          {[Situ.Component.action()], map()}
+  def handle_batch(input, messages, context, state) do
+    entries = Enum.map(messages, &build_entry(input, &1, context, state))
+    hold_or_resume([], submit(state, entries))
+  end
+
+  defp build_entry(input, message, context, state),
+    do: {input, message.originating_time, encode_message(input, message, context, state)}
 
   defp encode_message(input, message, context, state) do
     case Protocol.encode_value(message.data) do
@@ -139,25 +152,32 @@ defmodule Situ.Python.Component do
     )
   end
 
-  defp submit(state, {_input, _time, {head, value}} = entry) do
-    if state.worker, do: Worker.send_message(state.worker, head, value)
-    window = Window.count_sent(state.window)
-    %{state | in_flight: :queue.in(entry, state.in_flight), window: window}
+  defp submit(state, entries) do
+    if state.worker, do: Worker.send_messages(state.worker, Enum.map(entries, &elem(&1, 2)))
+    window = Window.count_sent(state.window, length(entries))
+    %{state | in_flight: Enum.reduce(entries, state.in_flight, &:queue.in/2), window: window}
   end
 
   # The worker takes no more messages than it handles soon.
-  defp hold_or_resume(state) do
-    action = if state.worker == nil or Window.full?(state.window), do: :hold, else: :resume
-    for input <- state.open, do: {action, input}
+  defp hold_or_resume(actions, state) do
+    hold? = state.worker == nil or state.window.full?
+    if hold? == state.held?, do: {actions, state}, else: set_hold(actions, hold?, state)
+  end
+
+  defp set_hold(actions, hold?, state) do
+    action = if hold?, do: :hold, else: :resume
+    {actions ++ for(input <- state.open, do: {action, input}), %{state | held?: hold?}}
   end
 
   @impl true
   def handle_info({:situ_python, worker, event}, context, %{worker: worker} = state) do
     {actions, state} = handle_event(event, context, state)
-    {actions ++ hold_or_resume(state), state}
+    hold_or_resume(actions, state)
   end
 
-  def handle_info({:hold_ended, _input}, _context, state), do: {hold_or_resume(state), state}
+  # A hold ends by itself after 20 ms.
+  def handle_info({:hold_ended, input}, _context, state),
+    do: {if(state.held?, do: [{:hold, input}], else: []), state}
 
   def handle_info({:situ_python_failed, error}, _context, state) do
     if state.opts.errors == :restart and state.open != [],
@@ -171,22 +191,22 @@ defmodule Situ.Python.Component do
       do: handle_info({:situ_python, worker, {:ended, crash_error(reason)}}, context, state)
 
   def handle_info(:situ_python_again, context, %{worker: nil, open: [_ | _]} = state) do
-    state = start_again(state, context)
-    {hold_or_resume(state), state}
+    hold_or_resume([], start_again(state, context))
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp handle_event({:results, results}, context, state),
-    do: take_results(results, [], context, state)
+  defp handle_event({:results, results, spent_ns}, context, state) do
+    window = Window.adapt(state.window, length(results), spent_ns)
+    take_results(results, [], context, %{state | window: window})
+  end
 
   defp handle_event({:ended, error}, context, state),
     do: {[], handle_failure(%{state | worker: nil}, error, context)}
 
   defp handle_event(_event, _context, state), do: {[], state}
 
-  defp take_results([], actions, _context, state),
-    do: {Enum.reverse(actions), %{state | window: Window.adapt(state.window)}}
+  defp take_results([], actions, _context, state), do: {Enum.reverse(actions), state}
 
   defp take_results([{:ok, emitted} | rest], actions, context, state) do
     state = state |> drop_oldest() |> record_times(emitted)
@@ -218,7 +238,7 @@ defmodule Situ.Python.Component do
   defp start_again(state, context) do
     entries = :queue.to_list(state.in_flight)
     state = start_worker(%{state | in_flight: :queue.new(), window: Window.new()}, context)
-    Enum.reduce(entries, state, &submit(&2, &1))
+    submit(state, entries)
   end
 
   defp oldest(state) do

@@ -14,7 +14,7 @@ defmodule Situ.Python.Protocol do
   # |---|---|
   # | `O` ready | the process id (32 bits), the version of Python |
   # | `E` not started | a term: code, what, why, fix |
-  # | `T` results | one for each message, in order |
+  # | `T` results | the time that Python has spent on them (ns, 64 bits), and one for each message, in order |
   # | `L` return | the numbers of input slots that are no longer in use |
   # | `D` closed | the result of `on_close` |
   #
@@ -40,7 +40,7 @@ defmodule Situ.Python.Protocol do
   @type frame ::
           {:ready, process :: non_neg_integer(), version :: binary()}
           | {:not_started, term :: map()}
-          | {:results, [result()]}
+          | {:results, [result()], spent_ns :: non_neg_integer()}
           | {:returned, [non_neg_integer()]}
           | {:closed, result()}
 
@@ -55,7 +55,13 @@ defmodule Situ.Python.Protocol do
 
   @doc "Encodes a value. Returns `:error` if it is not plain data."
   @spec encode_value(term()) :: {:ok, iodata()} | :error
-  defdelegate encode_value(value), to: ValueCodec, as: :encode
+  # Plain numbers need no check. Bytes 131 and 70 begin a float in the external term format, 131 and 98 an integer.
+  def encode_value(value) when is_float(value), do: {:ok, <<0, 131, 70, value::float-64>>}
+
+  def encode_value(value) when is_integer(value) and value in 0x100..0x7FFFFFFF,
+    do: {:ok, <<0, 131, 98, value::signed-32>>}
+
+  def encode_value(value), do: ValueCodec.encode(value)
 
   @doc "Encodes the fields of a message before its place."
   @spec encode_head(input :: 0..255, Situ.Message.t()) :: binary()
@@ -96,8 +102,8 @@ defmodule Situ.Python.Protocol do
       :error
   """
   @spec decode_frame(binary()) :: {:ok, frame()} | :error
-  def decode_frame(<<"T", results::binary>>) do
-    with {:ok, results} <- decode_results(results, []), do: {:ok, {:results, results}}
+  def decode_frame(<<"T", spent_ns::little-64, results::binary>>) do
+    with {:ok, results} <- decode_results(results, []), do: {:ok, {:results, results, spent_ns}}
   end
 
   def decode_frame(<<"L", slots::binary>>) when rem(byte_size(slots), 4) == 0,
@@ -159,7 +165,13 @@ defmodule Situ.Python.Protocol do
 
   defp decode_emissions(_count, _bytes, _emissions), do: :error
 
+  @doc "Decodes results without a frame, as in the journal."
+  @spec decode_results(binary()) :: {:ok, [result()]} | :error
+  def decode_results(bytes), do: decode_results(bytes, [])
+
   @doc "Decodes the bytes of a value. The error describes them."
   @spec decode_value(binary()) :: {:ok, term()} | {:error, String.t()}
-  defdelegate decode_value(bytes), to: ValueCodec, as: :decode
+  def decode_value(<<0, 131, 70, value::float-64>>), do: {:ok, value}
+  def decode_value(<<0, 131, 98, value::signed-32>>), do: {:ok, value}
+  def decode_value(bytes), do: ValueCodec.decode(bytes)
 end

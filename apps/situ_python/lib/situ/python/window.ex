@@ -5,48 +5,44 @@ defmodule Situ.Python.Window do
   @target_ns 5_000_000
   @most 1_000
 
-  defstruct limit: 4, count: 0, done: 0, since: nil
+  defstruct limit: 4, count: 0, full?: false
 
   @type t :: %__MODULE__{
           limit: pos_integer(),
           count: non_neg_integer(),
-          done: non_neg_integer(),
-          since: integer() | nil
+          full?: boolean()
         }
 
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Counts a message that was sent."
-  @spec count_sent(t(), integer()) :: t()
-  def count_sent(window, now \\ System.monotonic_time())
-  def count_sent(%{count: 0} = window, now), do: %{window | count: 1, done: 0, since: now}
-  def count_sent(window, _now), do: %{window | count: window.count + 1}
+  @doc "Counts messages that were sent."
+  @spec count_sent(t(), non_neg_integer()) :: t()
+  def count_sent(window, n), do: note_full(%{window | count: window.count + n})
 
   @doc "Counts a message that has a result."
   @spec count_done(t()) :: t()
-  def count_done(window), do: %{window | count: window.count - 1, done: window.done + 1}
+  def count_done(window), do: note_full(%{window | count: window.count - 1})
 
-  @spec full?(t()) :: boolean()
-  def full?(window), do: window.count >= window.limit
+  # A full window takes messages again when half of it is free, so that they come in batches.
+  defp note_full(window) do
+    limit = if window.full?, do: div(window.limit, 2) + 1, else: window.limit
+    %{window | full?: window.count >= limit}
+  end
 
   @doc """
-  Adapts the limit to the time that the messages since the last call have taken.
+  Adapts the limit to the time that the worker has spent on `n` messages.
 
       iex> alias Situ.Python.Window
-      iex> window = Window.new() |> Window.count_sent(0) |> Window.count_sent(0)
-      iex> Window.adapt(window |> Window.count_done() |> Window.count_done(), 40_000_000).limit
-      1
+      iex> {Window.adapt(Window.new(), 1, 40_000_000).limit, Window.adapt(Window.new(), 4, 40_000).limit}
+      {1, 7}
   """
-  @spec adapt(t(), integer()) :: t()
-  def adapt(window, now \\ System.monotonic_time())
-  def adapt(%{done: 0} = window, _now), do: window
+  @spec adapt(t(), non_neg_integer(), non_neg_integer()) :: t()
+  def adapt(window, 0, _spent_ns), do: window
 
-  def adapt(window, now) do
-    taken = System.convert_time_unit(now - window.since, :native, :nanosecond)
-    wanted = div(@target_ns * window.done, max(taken, 1))
-    # The limit grows by at most half, so that one short measurement does not decide.
-    limit = wanted |> min(window.limit + div(window.limit, 2) + 1) |> min(@most) |> max(1)
-    %{window | limit: limit, done: 0, since: now}
+  def adapt(window, n, spent_ns) do
+    # The limit grows by half at most, so that one short measurement does not decide.
+    most = min(window.limit + div(window.limit, 2) + 1, @most)
+    note_full(%{window | limit: div(@target_ns * n, max(spent_ns, 1)) |> min(most) |> max(1)})
   end
 end

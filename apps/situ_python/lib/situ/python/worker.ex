@@ -6,11 +6,13 @@ defmodule Situ.Python.Worker do
   # The component receives `{:situ_python, worker, event}`:
   #
   #   * `{:ready, process, version}`: messages can be sent;
-  #   * `{:results, results}`: the results of the oldest messages, in order (`Situ.Python.Results`);
+  #   * `{:results, results, ns}`: the results of the oldest messages, in order (`Situ.Python.Results`), and the time
+  #     that Python has spent on them;
   #   * `{:closed, result}`: the result of `on_close`;
   #   * `{:ended, error}`: the program has ended, and nothing follows.
   #
-  # Messages that arrive together are sent in one frame.
+  # Two frames are in flight, so the program has work while it sends results. Messages that arrive in the meantime are
+  # sent together in the next frame, so frames grow with the load.
   use GenServer, restart: :temporary
 
   alias Situ.{Error, TempFolder}
@@ -22,6 +24,7 @@ defmodule Situ.Python.Worker do
   @frame_bytes 262_144
   # The program has this long to end by itself after its socket has closed, and its last results to arrive, ms.
   @exit_timeout 1_000
+  @frames_in_flight 2
 
   @type config :: %{
           path: String.t(),
@@ -47,6 +50,7 @@ defmodule Situ.Python.Worker do
     waiting: :queue.new(),
     batch: [],
     batch_bytes: 0,
+    frames: :queue.new(),
     in_flight: 0,
     received: 0,
     progress: 0
@@ -56,9 +60,9 @@ defmodule Situ.Python.Worker do
   @spec start_link(config()) :: {:ok, pid()} | {:error, term()}
   def start_link(config), do: GenServer.start_link(__MODULE__, {self(), config})
 
-  @doc "Sends a message: its fields before the place, and its encoded value."
-  @spec send_message(pid(), binary(), iodata()) :: :ok
-  def send_message(worker, head, value), do: GenServer.cast(worker, {:message, head, value})
+  @doc "Sends messages: for each, the fields before the place, and the encoded value."
+  @spec send_messages(pid(), [{binary(), iodata()}]) :: :ok
+  def send_messages(worker, messages), do: GenServer.cast(worker, {:messages, messages})
 
   @doc "Announces that all inputs have closed."
   @spec send_close(pid(), Situ.Time.t()) :: :ok
@@ -113,9 +117,13 @@ defmodule Situ.Python.Worker do
   end
 
   @impl true
-  def handle_cast({:message, head, value}, state) do
-    state = %{state | waiting: :queue.in({head, value, IO.iodata_length(value)}, state.waiting)}
-    state |> fill_batch() |> continue()
+  def handle_cast({:messages, messages}, state) do
+    waiting =
+      Enum.reduce(messages, state.waiting, fn {head, value}, waiting ->
+        :queue.in({head, value, IO.iodata_length(value)}, waiting)
+      end)
+
+    %{state | waiting: waiting} |> fill_batch() |> continue()
   end
 
   # `on_close` follows all messages.
@@ -186,11 +194,11 @@ defmodule Situ.Python.Worker do
   defp report_journal(state) do
     with {sent, <<_, _::binary>> = bytes} when sent <= state.received <-
            SharedMemory.read_journal(state.memory),
-         {:ok, {:results, results}} <- Protocol.decode_frame("T" <> bytes),
+         {:ok, results} <- Protocol.decode_results(bytes),
          [_ | _] = results when length(results) <= state.in_flight <-
            Enum.drop(results, state.received - sent) do
       {converted, _slots} = convert_results(results, state)
-      report(state, {:results, converted})
+      report(state, {:results, converted, 0})
       state
     else
       _ -> state
@@ -207,14 +215,16 @@ defmodule Situ.Python.Worker do
   defp handle_frame({:not_started, term}, %{phase: :starting} = state),
     do: fail(state, not_started_error(state, term))
 
-  defp handle_frame({:results, results}, state) when length(results) <= state.in_flight do
+  defp handle_frame({:results, results, spent_ns}, state)
+       when length(results) <= state.in_flight do
     {converted, slots} = convert_results(results, state)
-    report(state, {:results, converted})
+    report(state, {:results, converted, spent_ns})
     if slots != [], do: send_frame(state, Protocol.encode_return(slots))
 
     state
     |> Map.update!(:in_flight, &(&1 - length(results)))
     |> Map.update!(:received, &(&1 + length(results)))
+    |> drop_handled_frames()
     |> record_progress()
     |> fill_batch()
     |> continue()
@@ -290,7 +300,9 @@ defmodule Situ.Python.Worker do
 
   defp send_batch(state) do
     send_frame(state, Protocol.encode_messages(state.batch))
-    %{state | batch: [], batch_bytes: 0}
+    # A frame has been handled when this many results have arrived.
+    frames = :queue.in(state.received + state.in_flight, state.frames)
+    %{state | batch: [], batch_bytes: 0, frames: frames}
   end
 
   # If the connection has ended, so has the program, and its exit status is about to arrive.
@@ -301,8 +313,23 @@ defmodule Situ.Python.Worker do
     :ok
   end
 
+  defp drop_handled_frames(%{received: received} = state) do
+    case :queue.peek(state.frames) do
+      {:value, last} when last <= received ->
+        drop_handled_frames(%{state | frames: :queue.drop(state.frames)})
+
+      _ ->
+        state
+    end
+  end
+
   defp continue(%{batch: []} = state), do: {:noreply, state}
-  defp continue(state), do: {:noreply, state, 0}
+
+  defp continue(state) do
+    if :queue.len(state.frames) < @frames_in_flight,
+      do: {:noreply, state, 0},
+      else: {:noreply, state}
+  end
 
   # One timer is enough: when it is due, it is set again for the rest of the time.
   defp record_progress(%{config: %{timeout: :infinity}} = state), do: state
