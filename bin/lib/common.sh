@@ -96,11 +96,11 @@ built_since() {
 build_prod() {
   local stamp="$SITU_ROOT/_build/prod/.built" lock
   cd "$SITU_ROOT"
-  built_since "$stamp" apps native config mix.exs && return
+  built_since "$stamp" apps clients/python/src native config mix.exs && return
   check_writable
   exec {lock}>"$SITU_STATE/build.lock"
   flock --nonblock "$lock" || { say "Waiting for another build ..." && flock "$lock"; }
-  if ! built_since "$stamp" apps native config mix.exs; then
+  if ! built_since "$stamp" apps clients/python/src native config mix.exs; then
     MIX_ENV=prod step "Building Situ (minutes the first time, seconds later)" mix compile ||
       fail "the build failed" "see the messages above" "fix the code, or run bin/setup if a tool or library is missing"
     touch "$stamp"

@@ -4,8 +4,7 @@ defmodule Situ.Python.Component do
   # worker handles in about 5 ms; while there are more, the inputs are held, so the streams wait.
   #
   # An error is a separate message to this process, so that handling it undoes nothing else (as in `Situ.MapAsync`). The
-  # message at which Python failed is lost. With `:skip` and `:restart`, the messages after it are sent again if they had
-  # no result yet.
+  # message at which Python failed is lost. With `:skip` and `:restart`, later messages without a result are sent again.
   use Situ.Component
 
   alias Situ.Error

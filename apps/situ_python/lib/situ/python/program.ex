@@ -5,12 +5,13 @@ defmodule Situ.Python.Program do
   alias Situ.Python.Package
 
   # Ends the worker, and the processes that it has started in its group, when the port closes: its owner or the VM has
-  # ended. The worker has a socket for its data; its output is for the log.
+  # ended, perhaps before the folder of the socket was removed. The worker has a socket for its data; its output is for
+  # the log.
   @bound """
   exec 3<&0
   "$@" </dev/null 3<&- &
   pid=$!
-  ( read -r _ <&3; kill -KILL $pid; kill -KILL -$pid ) >/dev/null 2>&1 &
+  ( read -r _ <&3; rm -rf "$SITU_PYTHON_FOLDER"; kill -KILL $pid; kill -KILL -$pid ) >/dev/null 2>&1 &
   guard=$!
   exec 3<&-
   wait $pid
@@ -85,18 +86,26 @@ defmodule Situ.Python.Program do
   Starts the worker. The calling process receives its output as `{port, {:data, {:eol | :noeol, line}}}`, and
   `{port, {:exit_status, status}}`. It is killed when the port closes.
   """
-  @spec start_worker(Path.t(), socket :: Path.t()) :: port()
-  def start_worker(interpreter, socket) do
+  @spec start_worker(Path.t(), folder :: Path.t()) :: port()
+  def start_worker(interpreter, folder) do
     Port.open({:spawn_executable, "/bin/sh"}, [
       :binary,
       :exit_status,
       :stderr_to_stdout,
       :hide,
       line: @line_bytes,
-      env: [{~c"PYTHONPATH", search_path()}, {~c"PYTHONUNBUFFERED", ~c"1"}],
-      args: ["-c", @bound, "situ-python", interpreter, "-m", "situ.worker", socket]
+      env: [
+        {~c"PYTHONPATH", search_path()},
+        {~c"PYTHONUNBUFFERED", ~c"1"},
+        {~c"SITU_PYTHON_FOLDER", to_charlist(folder)}
+      ],
+      args: ["-c", @bound, "situ-python", interpreter, "-m", "situ.worker", socket_path(folder)]
     ])
   end
+
+  @doc "Returns the path of the socket to which the worker connects."
+  @spec socket_path(folder :: Path.t()) :: Path.t()
+  def socket_path(folder), do: Path.join(folder, "socket")
 
   defp search_path do
     [Package.folder() | List.wrap(System.get_env("PYTHONPATH"))]

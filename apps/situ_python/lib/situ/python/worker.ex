@@ -16,7 +16,7 @@ defmodule Situ.Python.Worker do
   use GenServer, restart: :temporary
 
   alias Situ.{Error, TempFolder}
-  alias Situ.Python.{LogLines, Program, Protocol, Results, SharedMemory}
+  alias Situ.Python.{LogLines, Program, Protocol, Results, SharedMemory, WorkerErrors}
   require Logger
 
   # Values of this size or larger go through shared memory.
@@ -87,16 +87,19 @@ defmodule Situ.Python.Worker do
     with {:ok, folder} <- TempFolder.create_folder("python", SharedMemory.parent_folder()),
          state = %{state | folder: folder},
          {:ok, memory} <- SharedMemory.create_files(folder, state.config.shared_memory),
-         {:ok, listener} <- listen(Path.join(folder, "socket")) do
+         {:ok, listener} <- listen(Program.socket_path(folder)) do
       accept_connection(listener)
-      port = Program.start_worker(state.config.interpreter, Path.join(folder, "socket"))
+      port = Program.start_worker(state.config.interpreter, folder)
       {:noreply, %{state | memory: memory, listener: listener, port: port}}
     else
       {:error, %Error{} = error} ->
         fail(state, error)
 
       {:error, reason} ->
-        fail(state, start_error("#{inspect(reason)} in #{SharedMemory.parent_folder()}"))
+        fail(
+          state,
+          WorkerErrors.start_error("#{inspect(reason)} in #{SharedMemory.parent_folder()}")
+        )
     end
   end
 
@@ -148,14 +151,14 @@ defmodule Situ.Python.Worker do
         continue(state)
 
       :error ->
-        fail(state, option_error(state))
+        fail(state, WorkerErrors.option_error())
     end
   end
 
   def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
     case Protocol.decode_frame(bytes) do
       {:ok, frame} -> handle_frame(frame, state)
-      :error -> fail(state, protocol_error(state))
+      :error -> fail(state, WorkerErrors.protocol_error())
     end
   end
 
@@ -190,6 +193,9 @@ defmodule Situ.Python.Worker do
     continue(%{state | phase: :ending})
   end
 
+  defp ended_error(state),
+    do: WorkerErrors.ended_error(state.ending, LogLines.last_lines(state.lines))
+
   # Results that the program had not sent when it ended. The first ones may have arrived.
   defp report_journal(state) do
     with {sent, <<_, _::binary>> = bytes} when sent <= state.received <-
@@ -213,7 +219,7 @@ defmodule Situ.Python.Worker do
   end
 
   defp handle_frame({:not_started, term}, %{phase: :starting} = state),
-    do: fail(state, not_started_error(state, term))
+    do: fail(state, WorkerErrors.not_started_error(term))
 
   defp handle_frame({:results, results, spent_ns}, state)
        when length(results) <= state.in_flight do
@@ -233,7 +239,7 @@ defmodule Situ.Python.Worker do
   defp handle_frame({:returned, slots}, state) do
     case SharedMemory.free_slots(state.memory, slots) do
       {:ok, memory} -> %{state | memory: memory} |> fill_batch() |> continue()
-      :error -> fail(state, protocol_error(state))
+      :error -> fail(state, WorkerErrors.protocol_error())
     end
   end
 
@@ -243,7 +249,7 @@ defmodule Situ.Python.Worker do
     continue(%{state | in_flight: 0})
   end
 
-  defp handle_frame(_frame, state), do: fail(state, protocol_error(state))
+  defp handle_frame(_frame, state), do: fail(state, WorkerErrors.protocol_error())
 
   defp convert_results(results, state) do
     {converted, slots} =
@@ -349,7 +355,10 @@ defmodule Situ.Python.Worker do
 
   defp check_progress(state) do
     left = state.progress + state.config.timeout - System.monotonic_time(:millisecond)
-    if left > 0, do: continue(set_timer(state, left)), else: fail(state, late_error(state))
+
+    if left > 0,
+      do: continue(set_timer(state, left)),
+      else: fail(state, WorkerErrors.late_error(state.config.timeout))
   end
 
   defp fail(state, error) do
@@ -381,52 +390,5 @@ defmodule Situ.Python.Worker do
     Port.close(port)
   rescue
     ArgumentError -> true
-  end
-
-  defp start_error(why) do
-    Error.new(:python_not_started, "the Python worker cannot be started",
-      why: why,
-      fix: "free memory or disk space, or lower shared_memory:"
-    )
-  end
-
-  defp option_error(_state) do
-    Error.new(:bad_python_options, "the options cannot be sent to Python",
-      why: "they contain functions, processes or references",
-      fix: "use numbers, strings, booleans, lists and maps in options:"
-    )
-  end
-
-  defp not_started_error(_state, term) do
-    text = fn key -> if is_binary(term[key]), do: term[key] end
-    Error.new(start_code(term["code"]), term["what"], why: text.("why"), fix: text.("fix"))
-  end
-
-  defp start_code("no_python_class"), do: :no_python_class
-  defp start_code("no_python_module"), do: :no_python_module
-  defp start_code("bad_component"), do: :bad_component
-  defp start_code(_other), do: :python_failed
-
-  defp protocol_error(_state) do
-    Error.new(:bad_python_frame, "the Python worker sent invalid data",
-      fix: "the component must not use the socket that connects it to Situ"
-    )
-  end
-
-  defp ended_error(state) do
-    why = state.ending || "it closed its connection"
-    tail = LogLines.last_lines(state.lines)
-
-    Error.new(:python_ended, "the Python worker has ended",
-      why: if(tail == "", do: why, else: "#{why}; its last output was:\n#{tail}"),
-      fix: "correct the component, or restart it with on_error: :restart"
-    )
-  end
-
-  defp late_error(state) do
-    Error.new(:timeout, "the Python worker did not finish within #{state.config.timeout} ms",
-      why: "the component was still handling this message, and the worker was killed",
-      fix: "increase timeout:, or use on_error: :restart or :skip"
-    )
   end
 end
