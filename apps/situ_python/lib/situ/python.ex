@@ -34,7 +34,7 @@ defmodule Situ.Python do
 
   A handler returns a dict of outputs, `None`, or a list of dicts. Results have the time of the message and are emitted
   in the order of the messages. A tuple `(time, dict)` in the list has its own time.
-  [The guide](python-components.html) describes the values.
+  The guide `docs/guides/python-components.md` describes the values.
 
   ## Errors
 
@@ -58,7 +58,7 @@ defmodule Situ.Python do
       doc: "An interpreter: a name in `PATH`, a path, or the folder of a virtual environment."
     ],
     options: [
-      type: :any,
+      type: {:or, [:keyword, :map]},
       default: [],
       doc: "Keyword arguments of the method `setup`: a keyword list or map of plain data."
     ],

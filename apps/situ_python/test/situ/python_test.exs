@@ -461,6 +461,17 @@ defmodule Situ.PythonTest do
       assert fail_part(source, [1]).what =~ "cannot encode a Part"
     end
 
+    test "by a file in the current folder does not affect others", %{tmp_dir: dir} do
+      # The worker starts in the folder of the VM, so this checks the search path.
+      source =
+        write_part(dir, """
+        def on_value(self, value, message):
+            return {"out": [path for path in sys.path if path in ("", os.getcwd())]}
+        """)
+
+      assert run_part(source, [1]) == [[]]
+    end
+
     test "never creates atoms", %{tmp_dir: dir} do
       source =
         write_part(dir, """
@@ -471,6 +482,30 @@ defmodule Situ.PythonTest do
       assert run_part(source, [5_123]) == ["never_heard_of_" <> "5123"]
       assert_raise ArgumentError, fn -> String.to_existing_atom("never_heard_of_" <> "5123") end
     end
+  end
+
+  test "describes its process", %{tmp_dir: dir} do
+    source = write_part(dir, "def on_value(self, value, message):\n    return {'out': value}")
+    ours = self()
+
+    {:ok, p} =
+      Pipeline.start_link(fn p ->
+        p
+        |> Situ.from_enumerable(1..1_000_000, every: 1_000_000)
+        |> Situ.Python.component(source)
+        |> Situ.each(&send(ours, &1))
+      end)
+
+    assert_receive 1
+    text = ~r/^Part, process \d+, Python 3\.[\d.]+, \d+ MB, \d+ messages in flight$/
+
+    # The description arrives after the first request for it.
+    assert Situ.Test.Eventually.eventually(fn ->
+      part = Enum.find(Pipeline.info(p).nodes, &(&1.path == "Part"))
+      part.description != nil and part.description =~ text
+    end)
+
+    {:ok, _} = Pipeline.stop(p)
   end
 
   test "logging has levels", %{tmp_dir: dir} do

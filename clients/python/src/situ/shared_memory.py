@@ -74,14 +74,21 @@ class OutputSlots:
         if self._size + capacity > self._limit:
             return None
         try:
-            # Without its pages, writing to the map of a full file system would end the process.
-            os.posix_fallocate(self._file, self._size, capacity)
+            _reserve(self._file, self._size, capacity)
             memory = memoryview(mmap.mmap(self._file, capacity, offset=self._size))
         except (OSError, ValueError):
             return None
         self._slots.append((self._size, capacity, memory))
         self._size += capacity
         return len(self._slots) - 1
+
+
+def _reserve(file, offset, size):
+    """Makes a file longer. Writing to the map of a file system without room for it would end the process."""
+    if hasattr(os, "posix_fallocate"):
+        os.posix_fallocate(file, offset, size)
+    else:
+        os.ftruncate(file, offset + size)
 
 
 class Journal:

@@ -1,9 +1,10 @@
-"""The program that runs one component: `python -m situ.worker SOCKET`. `Situ.Python.component` starts it.
+"""The program that runs one component. `Situ.Python.component` starts it with the path of a socket.
 
 Situ and the worker exchange frames over a Unix socket: a length (32 bits, big-endian), a letter, and fields in
 little-endian order. `Situ.Python.Protocol` is the counterpart and describes the frames.
 """
 
+import faulthandler
 import importlib
 import importlib.util
 import logging
@@ -297,14 +298,10 @@ class _LogHandler(logging.StreamHandler):
 def main(path):
     # The group contains the processes that the component starts, so that all of them can be ended together.
     os.setpgid(0, 0)
-    import faulthandler
-
     faulthandler.enable()
     handler = _LogHandler()
     handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler])
-    # `-m` puts the current folder first, where a file could hide a module of the standard library.
-    sys.path[:] = [folder for folder in sys.path if folder not in ("", os.getcwd())]
     connection = Connection(path)
     worker = Worker(connection)
     try:
@@ -314,6 +311,3 @@ def main(path):
         return
     worker.run()
 
-
-if __name__ == "__main__":
-    main(sys.argv[1])

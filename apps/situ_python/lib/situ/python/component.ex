@@ -360,6 +360,7 @@ defmodule Situ.Python.Component do
 
   def describe(state) do
     "#{state.opts.class}, process #{state.process}, Python #{state.version}, " <>
+      "#{Program.read_memory(state.process) || "?"} MB, " <>
       "#{:queue.len(state.in_flight)} messages in flight"
   end
 end

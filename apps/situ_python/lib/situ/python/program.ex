@@ -21,6 +21,8 @@ defmodule Situ.Python.Program do
   exit $status
   """
   @line_bytes 4_096
+  # Python must not find modules in the current folder, which comes first by default.
+  @start "import sys; sys.path[:] = filter(None, sys.path); import situ.worker; situ.worker.main(sys.argv[1])"
 
   @doc """
   Returns the path of an interpreter: a name that is searched for, the path of a program, or the folder of a virtual
@@ -99,7 +101,7 @@ defmodule Situ.Python.Program do
         {~c"PYTHONUNBUFFERED", ~c"1"},
         {~c"SITU_PYTHON_FOLDER", to_charlist(folder)}
       ],
-      args: ["-c", @bound, "situ-python", interpreter, "-m", "situ.worker", socket_path(folder)]
+      args: ["-c", @bound, "situ-python", interpreter, "-c", @start, socket_path(folder)]
     ])
   end
 
@@ -111,6 +113,17 @@ defmodule Situ.Python.Program do
     [Package.folder() | List.wrap(System.get_env("PYTHONPATH"))]
     |> Enum.join(":")
     |> to_charlist()
+  end
+
+  @doc "Returns the memory that a process uses, in MB, or nil if the system does not tell."
+  @spec read_memory(non_neg_integer()) :: non_neg_integer() | nil
+  def read_memory(process) do
+    with {:ok, status} <- File.read("/proc/#{process}/status"),
+         [_, kilobytes] <- Regex.run(~r/VmRSS:\s+(\d+)/, status) do
+      div(String.to_integer(kilobytes), 1_000)
+    else
+      _ -> nil
+    end
   end
 
   @doc """
