@@ -501,9 +501,9 @@ defmodule Situ.PythonTest do
 
     # The description arrives after the first request for it.
     assert Situ.Test.Eventually.eventually(fn ->
-      part = Enum.find(Pipeline.info(p).nodes, &(&1.path == "Part"))
-      part.description != nil and part.description =~ text
-    end)
+             part = Enum.find(Pipeline.info(p).nodes, &(&1.path == "Part"))
+             part.description != nil and part.description =~ text
+           end)
 
     {:ok, _} = Pipeline.stop(p)
   end

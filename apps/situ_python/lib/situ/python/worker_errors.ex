@@ -1,7 +1,7 @@
 defmodule Situ.Python.WorkerErrors do
   @moduledoc false
-  # The errors of a worker: why it could not be started, or why it has ended. The component adds its path, and the message
-  # that was being handled.
+  # The errors of a worker: why it could not be started, or why it has ended. The component adds its path and the
+  # message that was being handled.
   alias Situ.Error
 
   @doc "The system lacks the resources for a worker."
