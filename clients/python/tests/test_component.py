@@ -82,16 +82,38 @@ class SharedMemoryTest(unittest.TestCase):
         self.assertEqual(slots.write([memoryview(b"gh")]), (0, 0, 4096, 2))
         self.assertEqual(self.path.read_bytes()[:4], b"ghcd")
 
-    def test_the_journal_contains_results_until_they_are_sent(self):
-        self.path.write_bytes(bytes(24))
+    def read_journal(self):
+        raw = self.path.read_bytes()
+        before, length = shared_memory.Journal.HEAD.unpack_from(raw)
+        return before, raw[16 : 16 + length]
+
+    def test_the_journal_contains_the_last_results(self):
+        self.path.write_bytes(bytes(16 + 48))
+        journal = shared_memory.Journal(self.path)
+        results = [b"%03d" % number for number in range(1_000)]
+        unsent = []
+        for number, result in enumerate(results):
+            if not journal.append(result):
+                self.assertEqual(journal.take_unsent(), b"".join(unsent))
+                unsent = []
+                self.assertTrue(journal.append(result))
+            unsent.append(result)
+            before, kept = self.read_journal()
+            self.assertEqual(kept, b"".join(results[before : number + 1]))
+            # Without results that were not sent, at least the last ones remain.
+            self.assertGreaterEqual(len(kept), min(number + 1, 5) * 3)
+
+    def test_the_journal_counts_results_that_do_not_fit(self):
+        self.path.write_bytes(bytes(16 + 16))
         journal = shared_memory.Journal(self.path)
         self.assertTrue(journal.append(b"abcd"))
-        self.assertTrue(journal.append(b"efgh"))
-        self.assertFalse(journal.append(b"i"))
-        self.assertEqual(journal.read_results(), b"abcdefgh")
-        self.assertEqual(self.path.read_bytes()[:16], (0).to_bytes(8, "little") + (8).to_bytes(8, "little"))
-        journal.clear(extra=1)
-        self.assertEqual(self.path.read_bytes()[:16], (3).to_bytes(8, "little") + (0).to_bytes(8, "little"))
+        self.assertFalse(journal.append(bytes(20)))
+        self.assertEqual(journal.take_unsent(), b"abcd")
+        self.assertFalse(journal.append(bytes(20)))
+        journal.skip_result()
+        self.assertEqual(self.read_journal(), (2, b""))
+        self.assertTrue(journal.append(b"e"))
+        self.assertEqual(self.read_journal(), (2, b"e"))
 
 
 if __name__ == "__main__":

@@ -361,6 +361,61 @@ defmodule Situ.PythonTest do
       end
     end
 
+    test "after one of its inputs has closed waits for the other one", %{tmp_dir: dir} do
+      source =
+        write_part(dir, """
+        def on_short(self, value, message):
+            return None
+
+        def on_long(self, value, message):
+            if value == 3:
+                os._exit(1)
+            return {"out": value}
+
+        def on_close(self, time):
+            return {"out": "end"}
+        """)
+
+      for policy <- [:restart, :skip] do
+        values =
+          Situ.to_list(fn p ->
+            short = Situ.from_enumerable(p, [{10, 0}])
+            long = Situ.from_enumerable(p, for(i <- 1..200, do: {i * 20, i}))
+            Situ.Python.component([short: short, long: long], source, on_error: policy)
+          end)
+
+        assert values == [1, 2] ++ Enum.to_list(4..200) ++ ["end"]
+      end
+    end
+
+    test "with :skip is replaced as soon as possible", %{tmp_dir: dir} do
+      source =
+        write_part(dir, """
+        def on_value(self, value, message):
+            if value == 1:
+                os.rename(__file__, __file__ + ".gone")
+                os._exit(1)
+            return {"out": value}
+        """)
+
+      ours = self()
+
+      {:ok, p} =
+        Pipeline.start_link(fn p ->
+          p
+          |> Situ.from_enumerable(1..1_000_000, every: 1_000_000)
+          |> Situ.Python.component(source, on_error: :skip)
+          |> Situ.each(&send(ours, &1))
+        end)
+
+      path = Path.join(dir, "part.py")
+      assert Situ.Test.Eventually.eventually(fn -> File.exists?(path <> ".gone") end)
+      File.rename!(path <> ".gone", path)
+      assert_receive 2
+      assert_receive 3
+      {:ok, _} = Pipeline.stop(p)
+    end
+
     test "with its component leaves no process", %{tmp_dir: dir} do
       source =
         write_part(dir, """

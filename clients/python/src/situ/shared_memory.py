@@ -92,33 +92,59 @@ def _reserve(file, offset, size):
 
 
 class Journal:
-    """Results that were not sent yet. They outlive this process: if it crashes, Situ reads them here.
+    """The last results. They outlive this process: if it ends, Situ reads here the results that it did not receive.
 
     The file begins with the number of results before these, and the length of these.
     """
 
     HEAD = struct.Struct("<QQ")
+    # No more messages are in flight, so older results have arrived.
+    RESULTS = 1_000
 
     def __init__(self, path):
         with open(path, "r+b") as file:
             self._memory = mmap.mmap(file.fileno(), 0)
-        self._sent = self._count = self._length = 0
+        self._before = 0
+        self._ends = [self.HEAD.size]
+        self._sent = self.HEAD.size
 
     def append(self, result):
-        """Appends a result; returns False if it does not fit."""
-        start = self.HEAD.size + self._length
+        """Appends a result; returns False if it does not fit. All others must have been sent if it is large."""
+        start = self._ends[-1]
         if start + len(result) > len(self._memory):
-            return False
+            if self._sent < start or len(result) > len(self._memory) // 2 - self.HEAD.size:
+                return False
+            self._drop_results()
+            start = self._ends[-1]
         self._memory[start : start + len(result)] = result
-        self._count, self._length = self._count + 1, self._length + len(result)
-        self.HEAD.pack_into(self._memory, 0, self._sent, self._length)
+        self._ends.append(start + len(result))
+        self._write_head()
         return True
 
-    def read_results(self):
-        """Returns all results, as one sequence of bytes."""
-        return self._memory[self.HEAD.size : self.HEAD.size + self._length]
+    def take_unsent(self):
+        """Returns the results since the last call, as one sequence of bytes."""
+        unsent, self._sent = self._memory[self._sent : self._ends[-1]], self._ends[-1]
+        return unsent
 
-    def clear(self, extra=0):
-        """Forgets the results, because they were sent, as were `extra` others."""
-        self._sent, self._count, self._length = self._sent + self._count + extra, 0, 0
-        self.HEAD.pack_into(self._memory, 0, self._sent, 0)
+    def skip_result(self):
+        """Counts a result that was sent, but does not fit."""
+        self._before, self._ends, self._sent = self._before + len(self._ends), [self.HEAD.size], self.HEAD.size
+        self._write_head()
+
+    def _drop_results(self):
+        """Keeps the last results, as far as half of the memory has room for them."""
+        last, room = self._ends[-1], len(self._memory) // 2
+        first = max(len(self._ends) - 1 - self.RESULTS, 0)
+        while last - self._ends[first] > room - self.HEAD.size:
+            first += 1
+        shift = self._ends[first] - self.HEAD.size
+        # While the results move, there are none.
+        self.HEAD.pack_into(self._memory, 0, self._before + len(self._ends) - 1, 0)
+        self._memory.move(self.HEAD.size, self._ends[first], last - self._ends[first])
+        self._before += first
+        self._ends = [end - shift for end in self._ends[first:]]
+        self._sent = self._ends[-1]
+        self._write_head()
+
+    def _write_head(self):
+        self.HEAD.pack_into(self._memory, 0, self._before, self._ends[-1] - self.HEAD.size)

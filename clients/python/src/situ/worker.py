@@ -186,13 +186,12 @@ class Worker:
             self._flush()
             if not self._journal.append(result):
                 self._connection.write_frame(b"T", self._measure_spent(), result)
-                self._journal.clear(extra=1)
+                self._journal.skip_result()
 
     def _flush(self):
-        results = self._journal.read_results()
+        results = self._journal.take_unsent()
         if results:
             self._connection.write_frame(b"T", self._measure_spent(), results)
-            self._journal.clear()
         free = self._slots.release()
         if free:
             self._connection.write_frame(b"L", *(_LENGTH.pack(slot) for slot in free))

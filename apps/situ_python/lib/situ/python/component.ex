@@ -10,9 +10,11 @@ defmodule Situ.Python.Component do
   alias Situ.Error
   alias Situ.Python.{Program, Protocol, Window, Worker}
 
-  # A restart begins with a new state, so the remaining work is kept here: a list of messages to handle again, or
-  # `:closed` after the end of all inputs.
-  @after_restart {__MODULE__, :after_restart}
+  # A restart begins with a new state, so the process keeps here which inputs are open, the last time, and the messages
+  # to handle again.
+  @kept {__MODULE__, :kept}
+  # After a worker could not be replaced, the next attempt follows in this time, ms.
+  @retry 1_000
 
   @impl true
   def options do
@@ -53,25 +55,31 @@ defmodule Situ.Python.Component do
 
   @impl true
   def handle_start(context, state) do
-    case Process.get(@after_restart, []) do
-      :closed ->
-        {[], %{state | open: []}}
+    {kept, entries} = Process.delete(@kept) || {%{}, []}
+    state = Map.merge(state, kept)
 
-      entries ->
-        Process.delete(@after_restart)
-        state = start_worker(state, context)
-        {[], submit(state, entries)}
+    # After the end of all inputs, errors that were reported late restart the component once more.
+    if state.open == [] do
+      keep_for_restart(state)
+      {[], state}
+    else
+      {[], state |> start_worker!(context) |> submit(entries)}
     end
   end
+
+  defp keep_for_restart(state) do
+    kept = {Map.take(state, [:open, :last_time]), :queue.to_list(state.in_flight)}
+    Process.put(@kept, kept)
+  end
+
+  defp start_worker!(state, context), do: state |> start_worker(context) |> Error.unwrap!()
 
   defp start_worker(state, context) do
     with :ok <- Program.check_source(state.opts.source),
          {:ok, interpreter} <- Program.find_interpreter(state.opts.python),
          {:ok, worker} <- Worker.start_link(worker_config(state.opts, interpreter, context)),
          {:ok, process, version} <- await_ready(worker, state.opts.start_timeout) do
-      %{state | worker: worker, process: process, version: version}
-    else
-      {:error, %Error{} = error} -> raise error
+      {:ok, %{state | worker: worker, process: process, version: version}}
     end
   end
 
@@ -179,9 +187,7 @@ defmodule Situ.Python.Component do
     do: {if(state.held?, do: [{:hold, input}], else: []), state}
 
   def handle_info({:situ_python_failed, error}, _context, state) do
-    if state.opts.errors == :restart and state.open != [],
-      do: plan_restart(:queue.to_list(state.in_flight))
-
+    if state.opts.errors == :restart, do: keep_for_restart(state)
     raise error
   end
 
@@ -190,7 +196,15 @@ defmodule Situ.Python.Component do
       do: handle_info({:situ_python, worker, {:ended, crash_error(reason)}}, context, state)
 
   def handle_info(:situ_python_again, context, %{worker: nil, open: [_ | _]} = state) do
-    hold_or_resume([], start_again(state, context))
+    case start_again(state, context) do
+      {:ok, state} ->
+        hold_or_resume([], state)
+
+      {:error, error} ->
+        send(self(), {:situ_python_failed, add_subject(error, context, "")})
+        Process.send_after(self(), :situ_python_again, @retry)
+        {[], state}
+    end
   end
 
   def handle_info(_other, _context, state), do: {[], state}
@@ -232,12 +246,11 @@ defmodule Situ.Python.Component do
     state
   end
 
-  defp plan_restart(plan), do: Process.put(@after_restart, plan)
-
   defp start_again(state, context) do
-    entries = :queue.to_list(state.in_flight)
-    state = start_worker(%{state | in_flight: :queue.new(), window: Window.new()}, context)
-    submit(state, entries)
+    empty = %{state | in_flight: :queue.new(), window: Window.new()}
+
+    with {:ok, started} <- start_worker(empty, context),
+         do: {:ok, submit(started, :queue.to_list(state.in_flight))}
   end
 
   defp oldest(state) do
@@ -287,14 +300,14 @@ defmodule Situ.Python.Component do
 
   defp finish(time, context, %{worker: worker} = state) when worker != nil do
     Worker.send_close(worker, time)
-    {actions, state} = await_results([], time, context, state)
-    if state.worker != nil and state.opts.errors == :restart, do: plan_restart(:closed)
-    {actions, state}
+    await_results([], time, context, state)
   end
 
   defp finish(_time, _context, %{opts: %{errors: :stop}} = state), do: {[], state}
   # The worker has failed, and the component has not been restarted yet.
-  defp finish(time, context, state), do: finish(time, context, start_again(state, context))
+  defp finish(time, context, state) do
+    finish(time, context, state |> start_again(context) |> Error.unwrap!())
+  end
 
   defp await_results(actions, time, context, state) do
     case receive_event(state.worker) do
@@ -321,7 +334,7 @@ defmodule Situ.Python.Component do
     do: {actions, state}
 
   defp await_more(actions, time, context, %{worker: nil} = state) do
-    {more, state} = finish(time, context, start_again(state, context))
+    {more, state} = finish(time, context, state)
     {actions ++ more, state}
   end
 

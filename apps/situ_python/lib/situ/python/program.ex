@@ -115,7 +115,7 @@ defmodule Situ.Python.Program do
     |> to_charlist()
   end
 
-  @doc "Returns the memory that a process uses, in MB, or nil if the system does not tell."
+  @doc "Returns the memory that a process uses, in MB, or nil if it is unknown."
   @spec read_memory(non_neg_integer()) :: non_neg_integer() | nil
   def read_memory(process) do
     with {:ok, status} <- File.read("/proc/#{process}/status"),

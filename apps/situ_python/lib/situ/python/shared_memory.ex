@@ -1,11 +1,12 @@
 defmodule Situ.Python.SharedMemory do
   @moduledoc false
   # The memory that a component shares with its Python worker, in `/dev/shm` where the system has it: two files of
-  # slots, one for each direction, and a journal of results that Python has not sent yet, which outlive a crash. Slots
+  # slots, one for each direction, and a journal of the last results, which outlive a crash of Python. Slots
   # are only added, so a file that Python has mapped never shrinks. The folder is removed as soon as both sides have
   # opened the files, so nothing remains when both have ended.
   # See docs/adr/0170-python-components-run-in-workers.md.
   alias Situ.Python.Protocol
+  alias Situ.TempFolder
 
   @page 4096
   # A slot is at most this many times larger than its value, so that small values do not take the slots of large ones.
@@ -36,9 +37,13 @@ defmodule Situ.Python.SharedMemory do
           used: MapSet.t(non_neg_integer())
         }
 
-  @doc "Returns the folder for the files of all components: `/dev/shm`, or the system's temporary folder."
-  @spec parent_folder() :: Path.t()
-  def parent_folder, do: if(File.dir?("/dev/shm"), do: "/dev/shm", else: System.tmp_dir!())
+  @doc "Creates a folder for the files of a component: in `/dev/shm`, or in the system's temporary folder."
+  @spec create_folder() :: {:ok, Path.t()} | {:error, Situ.Error.t()}
+  def create_folder do
+    if File.dir?("/dev/shm"),
+      do: TempFolder.create_folder("python", "/dev/shm"),
+      else: TempFolder.create_folder("python")
+  end
 
   @doc "Creates the files in `folder`, for at most `limit` bytes in each direction. Only this process can use them."
   @spec create_files(Path.t(), pos_integer()) :: {:ok, t()} | {:error, :file.posix()}

@@ -84,7 +84,7 @@ defmodule Situ.Python.Worker do
 
   @impl true
   def handle_continue(:open, state) do
-    with {:ok, folder} <- TempFolder.create_folder("python", SharedMemory.parent_folder()),
+    with {:ok, folder} <- SharedMemory.create_folder(),
          state = %{state | folder: folder},
          {:ok, memory} <- SharedMemory.create_files(folder, state.config.shared_memory),
          {:ok, listener} <- listen(Program.socket_path(folder)) do
@@ -98,7 +98,7 @@ defmodule Situ.Python.Worker do
       {:error, reason} ->
         fail(
           state,
-          WorkerErrors.start_error("#{inspect(reason)} in #{SharedMemory.parent_folder()}")
+          WorkerErrors.start_error(inspect(reason))
         )
     end
   end
@@ -196,7 +196,7 @@ defmodule Situ.Python.Worker do
   defp ended_error(state),
     do: WorkerErrors.ended_error(state.ending, LogLines.last_lines(state.lines))
 
-  # Results that the program had not sent when it ended. The first ones may have arrived.
+  # The last results of the program. Most of them have arrived, but those in a connection that was reset have not.
   defp report_journal(state) do
     with {sent, <<_, _::binary>> = bytes} when sent <= state.received <-
            SharedMemory.read_journal(state.memory),
