@@ -7,6 +7,9 @@ defmodule Situ.Simulation.Processes do
   # wait before the simulation counts as deadlocked.
   @outside_ms 2_000
   @deadlock_ms 500
+  # A process waits here for its turn, or for the VM, which asks another process for information (`Process.info/2`) and
+  # always replies.
+  @brief_waits [{Shell, :await_turn, 1}, {:erts_internal, :await_result, 1}]
   @quiet_ms 3
 
   defstruct by_pid: %{}, order: [], labels: %{}, names: %{}, next: 0, starting: 0
@@ -144,7 +147,7 @@ defmodule Situ.Simulation.Processes do
     case Process.info(pid, [:status, :message_queue_len, :current_function, :monitors]) do
       [{:status, :waiting}, {_, n}, {_, function}, {_, monitors}] ->
         cond do
-          function == {Shell, :await_turn, 1} or starting?(processes) or reports?() -> :busy
+          function in @brief_waits or starting?(processes) or reports?() -> :busy
           waits_outside?(processes, function, monitors) and elapsed < @outside_ms -> :outside
           true -> suspend(processes, pid, n)
         end

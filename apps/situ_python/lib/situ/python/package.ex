@@ -14,8 +14,9 @@ defmodule Situ.Python.Package do
       text = File.read!(file),
       target = Path.join(@target, Path.basename(file)),
       File.read(target) != {:ok, text} do
-    File.write!(target <> ".new", text)
-    File.rename!(target <> ".new", target)
+    new = "#{target}.#{System.pid()}"
+    File.write!(new, text)
+    File.rename!(new, target)
   end
 
   for file <- Path.wildcard(Path.join(@target, "*.py")),
