@@ -1,6 +1,6 @@
 defmodule Situ.Store.SegmentedRecording.Contents do
   @moduledoc false
-  # What an index knows: the segments of a recording, and the timeline of every stream. Pure.
+  # The contents of an index: the segments of a recording, and the timeline of every stream. Pure.
   alias Situ.Store.SegmentedRecording.Timeline
   alias Situ.Store.StreamInfo
 
