@@ -31,6 +31,7 @@ defmodule Situ.Studio.Web.MainView do
     LayoutMenu,
     MainAssigns,
     Panels,
+    Paths,
     QueryPanel,
     SchemaDialog,
     Sidebars,
@@ -102,6 +103,9 @@ defmodule Situ.Studio.Web.MainView do
          |> DerivedStreams.ensure_loaded(&load_streams/1)
          |> AnnotationPanel.open_from_params(params)
          |> LayerDialog.offer_from_params(params)}
+
+      {:error, %{code: :is_dataset}} ->
+        {:ok, redirect(socket, to: "/" <> Paths.dataset_path(id))}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}

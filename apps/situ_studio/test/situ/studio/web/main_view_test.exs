@@ -45,6 +45,19 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert edit(page) == ""
   end
 
+  test "redirects to the page of a dataset", %{test: test, tmp_dir: dir} do
+    File.write!(Path.join(dir, "level.csv"), "time_s,level\n0,0.5\n1,0.7\n")
+    {:ok, dataset} = Situ.Dataset.open(dir)
+    path = Path.join(dir, "study.json")
+    {:ok, _dataset} = Situ.Dataset.save_as(dataset, path)
+    id = "#{test} of a folder"
+    start_supervised!({Catalog, id: id, path: path, layouts: dir}, id: :second)
+    params = %{"id" => ["study.json"]}
+
+    assert Page.mount(MainView, path: "/s/study.json", params: params, session: %{"studio" => id}) ==
+             {:error, {:redirect, "/d/study.json"}}
+  end
+
   test "adds a panel when a stream's kind becomes known, unless the layout was changed",
        %{
          studio: studio,
