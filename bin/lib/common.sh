@@ -188,7 +188,8 @@ start_vm() {
   erlang_log+="filters=>[{reports,{fun'logger_filters':domain/2,{stop,sub,[otp,sasl]}}}]}}]"
   # shellcheck disable=SC2086
   exec "${erl[@]}" -noshell +Bd $flags -pa "${code[@]}" \
-    -kernel logger "$erlang_log" -logger console '[{device,standard_error}]' \
+    -kernel logger "$erlang_log" \
+    -logger console '[{device,standard_error},{format,<<"$time [$level] $message\n">>}]' \
     -run code del_path . -run file set_cwd / -run file set_cwd "$caller_folder" "$@"
 }
 
