@@ -381,6 +381,22 @@ defmodule Situ.Store.SegmentedRecordingTest do
       assert times(Store.open!(path), "N") == ctx.messages
     end
 
+    # A repair within a second of the last change may leave the size and the modification time as they were.
+    test "a changed state is seen although the size and the time of the file are the same", ctx do
+      assert Store.closed?(Store.open!(ctx.path))
+      index = Path.join(ctx.path <> ".0002", "index.situ")
+      %{mtime: mtime} = File.stat!(index)
+      {:ok, file} = :file.open(index, [:read, :write, :raw, :binary])
+      # The state at byte 80: 0 is open, 1 is closed (`priv/schema/store.md`).
+      :ok = :file.pwrite(file, 80, <<0>>)
+      :ok = :file.close(file)
+      File.touch!(index, mtime)
+      refute Store.closed?(Store.open!(ctx.path))
+      {:ok, _} = Store.repair(ctx.path)
+      File.touch!(index, mtime)
+      assert Store.closed?(Store.open!(ctx.path))
+    end
+
     test "compact", %{path: path, tmp_dir: root} = ctx do
       store = Store.open!(path)
       assert {:ok, ^path} = Store.compact(path, compression: :zstd)

@@ -165,11 +165,21 @@ defmodule Situ.Store.SegmentedRecording.Scan do
         )
   end
 
+  # The fields of an index header up to the state; see `priv/schema/store.md`. A repair within a second of the last
+  # change leaves the size and the modification time as they were, but not the header.
+  @header_bytes 84
+
   @doc "Returns a value that changes if the index file of a store that is not being written is changed or replaced."
   @spec index_stamp(Path.t()) :: term()
   def index_stamp(path) do
-    case :file.read_file_info(Path.join(path, "index.situ"), [:raw, time: :posix]) do
-      {:ok, info} -> {elem(info, 11), elem(info, 1), elem(info, 5)}
+    index = Path.join(path, "index.situ")
+
+    with {:ok, info} <- :file.read_file_info(index, [:raw, time: :posix]),
+         {:ok, file} <- :file.open(index, [:read, :raw, :binary]) do
+      header = :file.read(file, @header_bytes)
+      _ = :file.close(file)
+      {elem(info, 11), elem(info, 1), elem(info, 5), header}
+    else
       {:error, _} -> nil
     end
   end
