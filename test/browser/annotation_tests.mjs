@@ -2,7 +2,7 @@
 import { spawn } from "node:child_process";
 import { mkdirSync, rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { answer, open, state, dispatch, panelOf, pointAt, settled } from "./studio_page.mjs";
+import { answer, open, state, dispatch, panelOf, pointAt, settled, typeNewAnnotations } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -14,17 +14,7 @@ const items = (page) =>
 
 // Creates annotations with the keyboard: the dialog, a name, and two values with keys.
 async function begin(page, name) {
-  await page.keyboard.press("a");
-  await until(page, () => document.activeElement?.closest("#annotation-new"), "the dialog has the focus");
-  await page.keyboard.type(name);
-  await page.keyboard.press("Tab");
-  await page.keyboard.type("speaks 1 #ff00ff");
-  await page.keyboard.press("Enter");
-  await page.keyboard.type("laughs 2");
-  // skips the fields for the kind and the annotator
-  await page.keyboard.press("Tab");
-  await page.keyboard.press("Tab");
-  await page.keyboard.press("Enter");
+  await typeNewAnnotations(page, name);
   await until(page, () => window.situStudio.annotation?.state.attributes.length === 1, "the panel is shown");
 }
 

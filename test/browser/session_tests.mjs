@@ -2,7 +2,7 @@
 // between sessions.
 import { spawnSync } from "node:child_process";
 import { test, equal, ok, until } from "./harness.mjs";
-import { open, state, dispatch, settled } from "./studio_page.mjs";
+import { open, state, dispatch, settled, typeNewAnnotations } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -32,16 +32,7 @@ const itemCount = (page, n) =>
   until(page, (k) => window.situStudio.annotation?.state.items.length === k, `${n} annotations`, n);
 
 async function createLayer(page, name) {
-  await page.keyboard.press("a");
-  await until(page, () => document.activeElement?.closest("#annotation-new"), "the dialog has the focus");
-  await page.keyboard.type(name);
-  await page.keyboard.press("Tab");
-  await page.keyboard.type("speaks 1 #ff00ff");
-  await page.keyboard.press("Enter");
-  await page.keyboard.type("laughs 2");
-  await page.keyboard.press("Tab");
-  await page.keyboard.press("Tab");
-  await page.keyboard.press("Enter");
+  await typeNewAnnotations(page, name);
   await until(page, (n) => window.situStudio.annotation?.state.stream === n, "the layer is open", name);
 }
 

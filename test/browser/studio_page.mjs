@@ -143,3 +143,18 @@ export const colorOf = (page, stream, nth = 0) =>
 
 // Returns the panel of a view's element: "p1" for "body-p1-plot".
 export const panelIn = (id) => /^body-(\w+)-/.exec(id)[1];
+
+// Creates annotations with the values "speaks" and "laughs" in the dialog, with the keyboard alone.
+export async function typeNewAnnotations(page, name) {
+  await page.keyboard.press("a");
+  await until(page, () => document.activeElement?.closest("#annotation-new"), "the dialog has the focus");
+  await page.keyboard.type(name);
+  await page.keyboard.press("Tab");
+  await page.keyboard.type("speaks 1 #ff00ff");
+  await page.keyboard.press("Enter");
+  await page.keyboard.type("laughs 2");
+  // Skips the fields for the kind and the annotator.
+  await page.keyboard.press("Tab");
+  await page.keyboard.press("Tab");
+  await page.keyboard.press("Enter");
+}

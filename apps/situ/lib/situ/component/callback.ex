@@ -10,9 +10,9 @@ defmodule Situ.Component.Callback do
   defstruct [:module, :path, :opts, :on_error, :core, batch: false, columns: :none]
 
   @typedoc """
-  `core` is the component's state. With `batch` it handles several messages in one call. `columns` tells which of them
-  are given to it as `Situ.Columns`: `:none`, only those that were `:emitted` so, or `:all` numbers, because it does not
-  take lists of messages.
+  `core` is the component's state. With `batch` it handles several messages in one call. `columns` says which
+  messages it receives as `Situ.Columns`: `:none`, `:emitted` (only columns that a component has emitted), or `:all`
+  numbers, because it does not take lists of messages.
   """
   @type t :: %__MODULE__{
           module: module(),

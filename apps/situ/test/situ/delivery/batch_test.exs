@@ -32,7 +32,7 @@ defmodule Situ.Delivery.BatchTest do
   defp unpack(nil), do: []
   defp unpack(batch), do: Batch.messages(batch)
 
-  property "all forms give the same answers" do
+  property "all forms give the same results" do
     forall input <- {integer(0, 3), list(integer(0, 3))} do
       shared = input |> gaps() |> shared()
       messages = Batch.messages(shared)

@@ -50,7 +50,7 @@ defmodule Situ.Pipeline.DeclaredOptionsTest do
     refute function_exported?(Undeclared, :options, 0)
   end
 
-  test "lists the streams that have a name of their own, in the order of construction" do
+  test "lists the streams that were named explicitly, in the order of construction" do
     {:ok, report} =
       Pipeline.run(fn p ->
         numbers = Situ.from_enumerable(p, 1..2, every: 1)

@@ -46,7 +46,7 @@ defmodule Situ.CLI.Doctor do
 
     for {group, checks} <- Enum.chunk_by(checks, & &1.group) |> Enum.map(&{hd(&1).group, &1}) do
       Output.puts(group)
-      for check <- checks, line <- Check.lines(check), do: Output.puts("  " <> line)
+      for check <- checks, line <- Check.format_lines(check), do: Output.puts("  " <> line)
     end
 
     Output.puts("Devices")

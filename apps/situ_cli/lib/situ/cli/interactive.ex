@@ -39,13 +39,13 @@ defmodule Situ.CLI.Interactive do
     `{:ok, p} = Situ.Pipeline.start_link(fun)` starts one. `Situ.inspect(p)` shows a running pipeline.
     """)
 
-    report_loaded(file, load(file))
+    report_loaded(file, load_code(file))
   end
 
-  defp load(""),
+  defp load_code(""),
     do: if(File.exists?("mix.exs"), do: Project.load(".", nil), else: :nothing)
 
-  defp load(file), do: Script.load(file, nil)
+  defp load_code(file), do: Script.load(file, nil)
 
   defp report_loaded(_file, :nothing), do: :ok
 

@@ -3,7 +3,7 @@ defmodule Situ.CLI.New do
   # `situ new`: creates a project that uses this Situ, or adds a component, a visualizer or a task to a project.
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{Checkout, Option, Output, Verb}
   alias Situ.CLI.New.{Name, Template}
   alias Situ.Error
   alias Situ.Studio.Plugins
@@ -59,8 +59,8 @@ defmodule Situ.CLI.New do
 
     files =
       if opts[:umbrella],
-        do: Template.umbrella_files(name, situ_folder()),
-        else: Template.project_files(name, situ_folder())
+        do: Template.umbrella_files(name, Checkout.folder()),
+        else: Template.project_files(name, Checkout.folder())
 
     Error.unwrap!(Template.write(files, path))
     for {file, _} <- files, do: Output.puts("  " <> Path.join(Path.relative_to_cwd(path), file))
@@ -88,7 +88,7 @@ defmodule Situ.CLI.New do
   defp path_hint do
     if System.find_executable("situ"),
       do: "",
-      else: "\n`situ` is not on your PATH: export PATH=#{situ_folder()}/bin:$PATH\n"
+      else: "\n`situ` is not on your PATH: export PATH=#{Checkout.folder()}/bin:$PATH\n"
   end
 
   defp add_part(:visualizer, name) do
@@ -134,11 +134,5 @@ defmodule Situ.CLI.New do
                 fix: "change to the project's folder, or create one with `situ new PATH`"
               )
     end
-  end
-
-  # bin/situ sets SITU_ROOT. Otherwise, this application is in _build/ENV/lib of the checkout.
-  defp situ_folder do
-    System.get_env("SITU_ROOT") ||
-      :situ_cli |> :code.lib_dir() |> to_string() |> Path.join("../../../..") |> Path.expand()
   end
 end

@@ -23,7 +23,7 @@ defmodule Situ.CLI.Run do
         arguments: [
           file: [kind: :file, optional: true, doc: "an Elixir file, or the folder of a project"]
         ],
-        options: options(),
+        options: verb_options(),
         examples: [
           "situ run lobby.exs",
           "situ run lobby.exs --set threshold=0.6 --record recordings/lobby --studio",
@@ -34,7 +34,7 @@ defmodule Situ.CLI.Run do
     ]
   end
 
-  defp options do
+  defp verb_options do
     [
       Option.new(:set, :string, "an option of the pipeline; VALUE is JSON or text",
         value: "NAME=VALUE",
@@ -91,14 +91,14 @@ defmodule Situ.CLI.Run do
     if opts[:options] do
       list_options(spec, path)
     else
-      values = Error.unwrap!(parse_options(spec, path, settings(opts)))
+      values = Error.unwrap!(parse_options(spec, path, read_settings(opts)))
       layouts = if(File.dir?(path), do: path, else: Path.dirname(path)) |> Path.join("layouts")
       settings = [name: pipeline_name(spec, path), speed: speed, layouts: layouts]
       run_pipeline(spec, values, settings ++ opts)
     end
   end
 
-  defp settings(opts) do
+  defp read_settings(opts) do
     input = if opts[:input], do: [{"input", opts[:input]}], else: []
     Setting.parse_settings(opts[:set]) ++ input
   end

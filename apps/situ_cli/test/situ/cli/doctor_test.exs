@@ -19,6 +19,8 @@ defmodule Situ.CLI.DoctorTest do
 
     output = capture_io(fn -> assert Situ.CLI.run(["doctor"]) == 1 end)
     assert output =~ "missing  ffmpeg: video and audio files"
+    zenoh = Enum.find(checks, &(&1.name == "zenoh_port"))
+    if zenoh.status == :missing, do: assert(zenoh.fix =~ ~r"\A/.*/bin/setup --with ros2\z")
     assert output =~ "Run this first:\n  sudo apt install ffmpeg"
   end
 

@@ -41,7 +41,7 @@ defmodule Situ.Python.Program do
       File.dir?(python) -> find_in_folder(python)
       String.contains?(python, "/") -> check_program(Path.expand(python))
       path = System.find_executable(python) -> {:ok, path}
-      true -> {:error, no_python(python, "there is no program #{python} in PATH")}
+      true -> {:error, no_python(python, "PATH contains no program named #{python}")}
     end
   end
 
@@ -58,7 +58,7 @@ defmodule Situ.Python.Program do
   defp check_program(path) do
     if File.regular?(path),
       do: {:ok, path},
-      else: {:error, no_python(path, "there is no such file or folder")}
+      else: {:error, no_python(path, "the file or folder does not exist")}
   end
 
   defp no_python(python, why) do
@@ -76,7 +76,7 @@ defmodule Situ.Python.Program do
       :ok
     else
       {:error,
-       Error.new(:no_python_file, "there is no file #{source}",
+       Error.new(:no_python_file, "the file #{source} does not exist",
          why: "relative paths start at #{File.cwd!()}",
          fix:
            "check the path, or write it as Path.join(__DIR__, #{inspect(Path.basename(source))})"

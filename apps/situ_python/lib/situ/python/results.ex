@@ -35,7 +35,7 @@ defmodule Situ.Python.Results do
 
   defp fetch_output(outputs, index) do
     with :error <- Enum.fetch(outputs, index),
-         do: {:error, "there is no output with the number #{index}"}
+         do: {:error, "output number #{index} does not exist"}
   end
 
   defp read_place({:bytes, bytes}, _memory), do: {:ok, bytes}

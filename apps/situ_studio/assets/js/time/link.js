@@ -30,7 +30,7 @@ export function encodeLink(s, origin, { layout, edit, snap, annotate, compare } 
 }
 
 // Encodes what another session can keep: its times are relative to the start of the data. A view of all data is left
-// out, so that the other session shows all of its own data.
+// out, so that the other session shows all of its data.
 /**
  * @param {any} s
  * @param {{layout?: string, edit?: string, snap?: string | null, annotate?: string, source?: string}} facts

@@ -25,15 +25,15 @@ defmodule Situ.CLI.Doctor.Check do
       iex> check = %Situ.CLI.Doctor.Check{
       ...>   group: "Programs", name: "ffmpeg", status: :missing, purpose: "video files", fix: "bin/setup"
       ...> }
-      iex> Situ.CLI.Doctor.Check.lines(check)
+      iex> Situ.CLI.Doctor.Check.format_lines(check)
       ["missing  ffmpeg: video files", "         Fix: bin/setup"]
-      iex> Situ.CLI.Doctor.Check.lines(%{check | status: :ok, found: "5.1"})
+      iex> Situ.CLI.Doctor.Check.format_lines(%{check | status: :ok, found: "5.1"})
       ["ok       ffmpeg 5.1: video files"]
   """
-  @spec lines(t()) :: [String.t()]
-  def lines(%__MODULE__{status: :ok} = check),
+  @spec format_lines(t()) :: [String.t()]
+  def format_lines(%__MODULE__{status: :ok} = check),
     do: ["ok       #{Enum.join([check.name | List.wrap(check.found)], " ")}: #{check.purpose}"]
 
-  def lines(%__MODULE__{status: :missing} = check),
+  def format_lines(%__MODULE__{status: :missing} = check),
     do: ["missing  #{check.name}: #{check.purpose}", "         Fix: #{check.fix}"]
 end

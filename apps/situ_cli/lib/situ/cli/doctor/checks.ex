@@ -1,6 +1,7 @@
 defmodule Situ.CLI.Doctor.Checks do
   @moduledoc false
   # The checks of `situ doctor`: tables of Situ's libraries, of programs, of models and of optional programs.
+  alias Situ.CLI.Checkout
   alias Situ.CLI.Doctor.Check
   alias Situ.Infer.{Engine, ModelStore}
 
@@ -121,7 +122,7 @@ defmodule Situ.CLI.Doctor.Checks do
 
     if File.exists?(Path.join([ModelStore.models_folder(), name, "SHA256SUMS"])),
       do: check,
-      else: missing(check, script("lib/fetch-model #{name}"))
+      else: missing(check, Checkout.script_path("lib/fetch-model") <> " #{name}")
   end
 
   defp check_optional_program({app, path, purpose, option}) do
@@ -137,14 +138,14 @@ defmodule Situ.CLI.Doctor.Checks do
 
   # A release does not contain bin/setup.
   defp setup_command(options) do
-    command = script("setup" <> options)
-    if File.exists?(command), do: command, else: "build it in a checkout: bin/setup" <> options
+    setup = Checkout.script_path("setup")
+
+    if File.exists?(setup),
+      do: setup <> options,
+      else: "build it in a checkout: bin/setup" <> options
   end
 
-  defp build_command, do: script("situ --version") <> ", which builds it"
-
-  # In a checkout, bin/situ sets SITU_ROOT.
-  defp script(name), do: Path.join([System.get_env("SITU_ROOT") || ".", "bin", name])
+  defp build_command, do: Checkout.script_path("situ") <> " --version, which builds it"
   defp priv_folder(app), do: app |> :code.priv_dir() |> to_string()
 
   defp application_version(app) do

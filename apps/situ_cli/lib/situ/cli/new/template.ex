@@ -5,6 +5,7 @@ defmodule Situ.CLI.New.Template do
   # becomes a dot. See docs/adr/0002-projects-use-the-compiled-situ.md.
   alias Situ.CLI.New.Name
   alias Situ.Error
+  alias Situ.Studio.Plugins
 
   @type files :: [{Path.t(), String.t()}]
 
@@ -60,27 +61,11 @@ defmodule Situ.CLI.New.Template do
   def write(files, folder) do
     case Enum.find(files, fn {path, _} -> File.exists?(Path.join(folder, path)) end) do
       nil ->
-        write_all(files, folder)
+        Plugins.Template.write_files(folder, files)
 
       {path, _} ->
         {:error, Error.new(:exists, "#{path} already exists", fix: "choose another name")}
     end
-  end
-
-  defp write_all(files, folder) do
-    for {path, text} <- files do
-      path = Path.join(folder, path)
-      File.mkdir_p!(Path.dirname(path))
-      File.write!(path, text)
-    end
-
-    :ok
-  rescue
-    error in File.Error ->
-      {:error,
-       Error.new(:not_saved, "cannot write #{error.path}",
-         why: to_string(:file.format_error(error.reason))
-       )}
   end
 
   defp bindings(name, situ, umbrella_paths) do

@@ -73,11 +73,11 @@ defmodule Situ.CLI.Run.Summary do
     cond do
       opts[:json] -> summary |> Map.from_struct() |> Output.print_json()
       opts[:quiet] -> :ok
-      true -> summary |> lines() |> Enum.each(&Output.puts/1)
+      true -> summary |> format_lines() |> Enum.each(&Output.puts/1)
     end
   end
 
-  defp lines(summary) do
+  defp format_lines(summary) do
     losses =
       for {count, word} <- [
             {summary.dropped, "dropped"},

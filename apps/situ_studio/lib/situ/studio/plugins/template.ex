@@ -28,18 +28,22 @@ defmodule Situ.Studio.Plugins.Template do
         {:error, Error.new(:exists, "#{folder} already exists", fix: "choose another name")}
 
       true ->
-        write_files(folder, build_files(name))
+        write_template(folder, build_files(name))
     end
   end
 
-  defp write_files(folder, files) do
+  defp write_template(folder, files) do
+    with :ok <- write_files(folder, files), do: {:ok, folder, Enum.map(files, &elem(&1, 0))}
+  end
+
+  @doc "Writes files, as pairs of a path and a text, below `folder`. Error: `:not_saved`."
+  @spec write_files(Path.t(), [{Path.t(), String.t()}]) :: :ok | {:error, Error.t()}
+  def write_files(folder, files) do
     Enum.each(files, fn {path, text} ->
       path = Path.join(folder, path)
       File.mkdir_p!(Path.dirname(path))
       File.write!(path, text)
     end)
-
-    {:ok, folder, Enum.map(files, &elem(&1, 0))}
   rescue
     error in File.Error ->
       {:error,
