@@ -150,21 +150,21 @@ defmodule Situ.CLI.Run do
         Error.unwrap!(Pipeline.start(build, pipeline: [name: opts[:name], replay: replay]))
 
       announce_start(studio, opts)
-      result = await_result(pipeline, opts)
-      status = report_result(result, opts)
-      if studio, do: keep_studio(studio)
+      outcome = await_end(pipeline, opts)
+      status = pipeline |> Pipeline.await() |> report_result(opts)
+      if studio && outcome == :ended, do: keep_studio(studio)
       status
     end)
   end
 
-  defp await_result(pipeline, opts) do
+  defp await_end(pipeline, opts) do
     if opts[:duration],
       do: Process.send_after(self(), :time_over, div(opts[:duration], 1_000_000))
 
     terminal = Terminal.open(opts)
-    Watcher.await_end(pipeline, terminal)
+    outcome = Watcher.await_end(pipeline, terminal)
     Terminal.close(terminal)
-    Pipeline.await(pipeline)
+    outcome
   end
 
   defp start_studio(opts) do
@@ -197,7 +197,7 @@ defmodule Situ.CLI.Run do
 
   defp report_result({:error, error}, _opts), do: raise(error)
 
-  # The recording can still be viewed.
+  # After Ctrl-C everything ends. If the pipeline has ended by itself, its recording can still be viewed.
   defp keep_studio(studio) do
     Output.warn("The pipeline has ended. The studio keeps running until Ctrl-C.")
 

@@ -98,7 +98,7 @@ defmodule Situ.Studio.AnnotationsTest do
     ref = Process.monitor(two)
     Process.exit(two, :kill)
     assert_receive {:DOWN, ^ref, _, _, _}
-    assert Annotations.Files.list_streams(path) == ["Speech", "Speech.Ada"]
+    assert Annotations.Home.list_names({:recording, path}) == ["Speech", "Speech.Ada"]
     {:ok, two} = reopened(studio, path, "Speech.Ada")
     assert length(items(two)) == 2
     {:ok, _} = Editor.save(two)
@@ -143,7 +143,7 @@ defmodule Situ.Studio.AnnotationsTest do
     ref = Process.monitor(editor)
     Process.exit(editor, :kill)
     assert_receive {:DOWN, ^ref, _, _, _}
-    assert Annotations.Files.list_streams(path) == ["Speech"]
+    assert Annotations.Home.list_names({:recording, path}) == ["Speech"]
     {:ok, again} = open_editor(studio, path, "Speech", nil)
     assert length(items(again)) == 20
     assert %{unsaved: true, recovered: 20} = Annotations.page_state(again, "Speech")

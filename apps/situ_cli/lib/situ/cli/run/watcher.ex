@@ -7,33 +7,36 @@ defmodule Situ.CLI.Run.Watcher do
 
   @interval_ms 200
 
-  @doc "Returns when the pipeline has ended. The messages `:stop` and `:time_over` to the calling process stop it."
-  @spec await_end(pid(), Terminal.t() | nil) :: :ok
-  def await_end(pipeline, terminal), do: wait(pipeline, Process.monitor(pipeline), terminal)
+  @doc """
+  Waits until the pipeline has ended. The messages `:stop` and `:time_over` to the calling process stop it. Returns
+  `:stopped` after the message `:stop`, and otherwise `:ended`.
+  """
+  @spec await_end(pid(), Terminal.t() | nil) :: :stopped | :ended
+  def await_end(pipeline, terminal),
+    do: wait({pipeline, Process.monitor(pipeline)}, terminal, :ended)
 
-  defp wait(pipeline, monitor, terminal) do
+  defp wait({pipeline, monitor} = watched, terminal, outcome) do
     receive do
       :stop ->
         Terminal.replace_line(terminal, "")
         Output.warn("Stopping. Press Ctrl-C again to end at once.")
-        stop_and_wait(pipeline, monitor, terminal)
+        stop_pipeline(pipeline)
+        wait(watched, terminal, :stopped)
 
       :time_over ->
-        stop_and_wait(pipeline, monitor, terminal)
+        stop_pipeline(pipeline)
+        wait(watched, terminal, outcome)
 
       {:DOWN, ^monitor, :process, ^pipeline, _reason} ->
-        :ok
+        outcome
     after
       @interval_ms ->
         if terminal, do: show_progress(pipeline, terminal)
-        wait(pipeline, monitor, terminal)
+        wait(watched, terminal, outcome)
     end
   end
 
-  defp stop_and_wait(pipeline, monitor, terminal) do
-    {:ok, _} = Task.start(fn -> Pipeline.stop(pipeline) end)
-    wait(pipeline, monitor, terminal)
-  end
+  defp stop_pipeline(pipeline), do: {:ok, _} = Task.start(fn -> Pipeline.stop(pipeline) end)
 
   # The pipeline may end before it replies.
   defp show_progress(pipeline, terminal) do

@@ -3,8 +3,6 @@ defmodule Situ.Studio.Annotations.Files do
   # Names the files of a recording's annotations. Each stream has its own store next to the
   # recording, so that two people who annotate the recording at the same time can save
   # independently.
-  alias Situ.Annotation.Recording
-  alias Situ.Store
 
   @doc """
   Returns the path of the store of one stream of annotations, without its version.
@@ -44,19 +42,6 @@ defmodule Situ.Studio.Annotations.Files do
           path = Path.join(folder, Path.rootname(name)),
           uniq: true,
           do: path
-    else
-      _ -> []
-    end
-  end
-
-  @doc "Returns the names of the annotation streams of a recording."
-  @spec list_streams(Path.t()) :: [String.t()]
-  def list_streams(recording),
-    do: recording |> list_stores() |> Enum.flat_map(&annotation_streams/1) |> Enum.sort()
-
-  defp annotation_streams(path) do
-    with true <- Store.exists?(path), {:ok, store} <- Store.open(path) do
-      for info <- Store.streams(store), Recording.annotation_stream?(store, info), do: info.name
     else
       _ -> []
     end
