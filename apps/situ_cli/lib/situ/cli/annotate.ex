@@ -54,7 +54,7 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "time 0 of the file (default: the start of --media-of or the session, else the first annotation)"
+            "time 0 of the file (default: the start of --media-of, or of the other streams of the recording or session; else the first annotation)"
           ),
           Option.new(
             :media_of,

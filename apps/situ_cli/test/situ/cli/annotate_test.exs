@@ -64,6 +64,26 @@ defmodule Situ.CLI.AnnotateTest do
     assert said =~ "--media-of"
   end
 
+  test "time 0 is the start of the recording if it also has other streams", %{tmp_dir: root} do
+    {:ok, _} =
+      Situ.Pipeline.run(
+        fn p ->
+          store = Store.create(p, "room", root)
+          said = %Annotation{from: Situ.Time.s(2), to: Situ.Time.s(3), track: "P1", values: %{}}
+          p |> Situ.from_enumerable(0..5, every: Situ.Time.s(1)) |> Store.write(store, "Level")
+
+          p
+          |> Situ.from_enumerable([{Situ.Time.s(3), [said]}], type: {:list, Annotation})
+          |> Store.write(store, "Said")
+        end,
+        pipeline: [replay: [interval: {Situ.Time.s(1), :unbounded}, speed: :max]]
+      )
+
+    argv = ["annotate", "export", Path.join(root, "room"), "-", "--format", "webvtt"]
+    assert {0, text} = with_io(fn -> Situ.CLI.run(argv) end)
+    assert text =~ "00:00:01.000 --> 00:00:02.000"
+  end
+
   describe "with a session of a dataset" do
     setup %{tmp_dir: root} do
       file = Path.join(root, "study.json")

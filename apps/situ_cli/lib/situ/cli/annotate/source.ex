@@ -112,9 +112,20 @@ defmodule Situ.CLI.Annotate.Source do
   def describe({:recording, store}), do: store.path
   def describe({:session, open}), do: "session #{open.session.name}"
 
-  @doc "Returns the start of the session's recordings, which is time 0 of an exported file; `nil` for a recording."
+  @doc """
+  Returns the start of the annotated recordings, which is time 0 of an exported file, or `nil` for a recording that has
+  only annotations.
+  """
   @spec start_time(t()) :: Situ.Time.t() | nil
-  def start_time({:recording, _store}), do: nil
+  def start_time({:recording, store}) do
+    starts =
+      for info <- Store.streams(store),
+          info.count > 0,
+          not Recording.annotation_stream?(store, info),
+          do: info.first
+
+    Enum.min(starts, fn -> nil end)
+  end
 
   def start_time({:session, open}) do
     layers = for p <- open.session.partitions, SessionLayers.layers_partition?(p), do: p.name
