@@ -424,7 +424,7 @@ defmodule Situ.Dataset do
 
   `compute` is a function of the pipeline, the session's `Situ.Dataset.Importer` and a store to write to (`nil` without
   `output:`), or a module with `build/2`, whose options contain `importer:`, `exporter:` and `session:` in addition to
-  the options in `options:`.
+  the options in `options:`. For a `Situ.Dataset.Task`, `options:` is checked and `output:` defaults to the task's.
 
   Returns the updated dataset, even if sessions failed or the run was cancelled. A dataset with a file is saved after
   every session. Errors before the run starts: `:partition_exists`, `:no_session`.
@@ -455,7 +455,8 @@ defmodule Situ.Dataset do
   @spec derive(t(), Derivation.Job.compute(), keyword()) ::
           {:ok, t(), Derivation.Report.t()} | {:error, Error.t()}
   def derive(%__MODULE__{} = dataset, compute, opts \\ []) do
-    with {:ok, sessions} <- choose_sessions(dataset, opts[:sessions]),
+    with {:ok, opts} <- Situ.Dataset.Task.complete_options(compute, opts),
+         {:ok, sessions} <- choose_sessions(dataset, opts[:sessions]),
          do: Derivation.run(sessions, compute, dataset.file, {dataset, &put_result/3}, opts)
   end
 

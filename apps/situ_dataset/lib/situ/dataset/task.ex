@@ -45,6 +45,24 @@ defmodule Situ.Dataset.Task do
   @doc "Builds the pipeline of one session."
   @callback build(Situ.Graph.Handle.t(), keyword()) :: term()
 
+  @doc false
+  # Completes the options of `Situ.Dataset.derive/3` from the description of the task. Other pipelines have none.
+  @spec complete_options(term(), keyword()) :: {:ok, keyword()} | {:error, Error.t()}
+  def complete_options(module, opts) when is_atom(module) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :task, 0) do
+      task = module.task()
+
+      with {:ok, options} <- Options.validate(opts[:options] || [], task.options),
+           do:
+             {:ok,
+              opts |> Keyword.put(:options, options) |> Keyword.put_new(:output, task.output)}
+    else
+      {:ok, opts}
+    end
+  end
+
+  def complete_options(_function, opts), do: {:ok, opts}
+
   @doc "Returns the modules of all tasks, sorted by the tasks' names."
   @spec list_tasks() :: [module()]
   def list_tasks do
