@@ -63,6 +63,35 @@ defmodule Situ.Test do
     with {:ok, collected} <- Collector.collect(spec, opts), do: {:ok, to_timed_pairs(collected)}
   end
 
+  @doc """
+  Runs a whole pipeline as fast as possible, and returns the outputs of its named streams.
+
+      iex> build = fn p -> p |> Situ.from_enumerable([{0, 1}, {5, 2}]) |> Situ.map(& &1 * 2, name: "Double") end
+      iex> Situ.Test.run_pipeline(build, ["Double"])
+      {:ok, %{"Double" => [{0, 2}, {5, 4}]}}
+
+  `opts` are the options of the pipeline, and may contain `pipeline:` settings. Sources that read files keep the times
+  of the files.
+  """
+  @spec run_pipeline(Pipeline.spec(), [String.t()], keyword()) ::
+          {:ok, %{String.t() => [timed()]}} | {:error, Situ.Error.t()}
+  def run_pipeline(spec, names, opts \\ []) do
+    {settings, opts} = Keyword.pop(opts, :pipeline, [])
+    replay = Keyword.merge([speed: :max], Keyword.get(settings, :replay, []))
+
+    with {:ok, opts} <- Pipeline.validate_options(spec, opts) do
+      build = fn p ->
+        if is_atom(spec), do: spec.build(p, opts), else: spec.(p)
+        Map.new(names, &{&1, Pipeline.stream(p, &1)})
+      end
+
+      settings = Keyword.put(settings, :replay, replay)
+
+      with {:ok, collected} <- Collector.collect(build, pipeline: settings),
+           do: {:ok, to_timed_pairs(collected)}
+    end
+  end
+
   @doc "Starts a pipeline with these inputs and a manual clock at `start:` (default 0), moved by `advance/2`."
   @spec start([term()], build(), keyword()) :: t()
   def start(inputs, build, opts \\ []) do

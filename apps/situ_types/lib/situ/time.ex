@@ -50,6 +50,15 @@ defmodule Situ.Time do
   @spec ticks(integer()) :: duration()
   def ticks(n) when is_integer(n), do: n * 100
 
+  @doc """
+  Converts nanoseconds to seconds.
+
+      iex> Situ.Time.to_seconds(Situ.Time.ms(250))
+      0.25
+  """
+  @spec to_seconds(t()) :: float()
+  def to_seconds(ns) when is_integer(ns), do: ns / 1.0e9
+
   @doc "Returns the current wall clock time. Pipelines use their own clock instead (`Situ.Pipeline.now/1`)."
   @spec now() :: t()
   def now, do: :os.system_time()
