@@ -25,6 +25,8 @@ test("5 cursor: follows the mouse, drives every panel, and can be locked", async
 test("5 cursor: its line stays at its time when the panels become wider", async ({ page }) => {
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking");
+  await page.keyboard.press("p");
+  await page.waitForSelector(".right", { state: "visible" });
   await page.keyboard.press("Alt+f");
   await dispatch(page, { type: "cursor", t: 45 * S });
   const gap = (i) => {

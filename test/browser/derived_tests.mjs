@@ -97,6 +97,7 @@ test("3 XY: the second stream is plotted against the first, within the view", as
 
 test("3 spectrogram: a tone is at its frequency while it sounds", async ({ page, shot }) => {
   // The same minute without the annotations of other tests, which make the panels lower.
+  await page.setViewportSize({ width: 1280, height: 1100 });
   await open(page, main, "memory");
   await menu(page, "Mic.Audio", "Show as spectrogram");
   await until(

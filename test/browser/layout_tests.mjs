@@ -30,9 +30,10 @@ test("8 layouts: saved, switched and deleted; a link shows the same image", asyn
   await settled(page);
   await page.waitForTimeout(400);
   const still = async (p) => {
-    await p.evaluate(() => document.getElementById("toast").remove());
+    await p.evaluate(() => document.getElementById("toast")?.remove());
     await p.evaluate(() => (document.querySelector(".times").scrollTop = 0));
-    // A link does not include the selection.
+    // A link includes neither the selection nor the sidebars.
+    await p.evaluate(() => (document.documentElement.dataset.right = "closed"));
     await p.evaluate(() => document.querySelectorAll(".selected").forEach((e) => e.classList.remove("selected")));
     await p.mouse.move(5, 5);
     await settled(p);

@@ -27,6 +27,42 @@ function around(rows, t) {
 
 const within = (rows, a, b) => rows.filter(([t]) => t >= a && t <= b);
 
+test("7 truth: a table shows exact values at the cursor, before and after", async ({ page, shot }) => {
+  const zoo = JSON.parse(readFileSync(site.zoo, "utf8"));
+  await open(page, main, "zoo.0000");
+  const push = (event, payload) => page.evaluate(([e, p]) => window.situStudio.options.push(e, p), [event, payload]);
+  await push("add_viz", { stream: "Zoo.Regular", viz: "table" });
+  await page.waitForSelector(".table-cell tbody tr");
+  const panel = await page.evaluate(
+    () => document.querySelector(".table-cell").closest("[data-panel]").dataset.panel,
+  );
+  await push("add_viz", { stream: "Zoo.State", viz: "table", panel });
+  await until(page, () => document.querySelectorAll(".table-cell tbody tr").length === 2, "two rows");
+  const next = random(99);
+  for (let round = 0; round < 40; round++) {
+    const t = Math.round(next() * 58_000 * MS) / MS;
+    await dispatch(page, { type: "cursor", t: t * MS });
+    await settled(page);
+    const rows = await page.evaluate(() =>
+      [...document.querySelectorAll(".table-cell tbody tr")].map((r) => [...r.cells].map((c) => c.textContent)),
+    );
+    for (const [name, previous, now, , later] of rows) {
+      const at = zoo[name].findLastIndex(([ms]) => ms <= t);
+      const value = (i) => (zoo[name][i] === undefined ? "" : zoo[name][i][1]);
+      const same = (text, expected) => (typeof expected === "number" ? Number(text) === expected : text === expected);
+      if (at < 0) equal(now, "no message at the cursor", `${name} at ${t} ms`);
+      else
+        for (const [text, i] of [
+          [previous, at - 1],
+          [now, at],
+          [later, at + 1],
+        ])
+          ok(same(text, value(i)), `${name} at ${t} ms: "${text}" is ${value(i)}`);
+    }
+  }
+  await shot("table");
+});
+
 test("7 truth: lines and lanes show the messages' values at any zoom", async ({ page, shot }) => {
   const zoo = JSON.parse(readFileSync(site.zoo, "utf8"));
   await page.setViewportSize({ width: 1280, height: 1100 });

@@ -52,6 +52,7 @@ function ensureStudio() {
     base,
     layout: d.layout,
     edit: d.edit,
+    start: d.start,
     annotate: d.annotate,
     // Updates the address that a reconnecting or restarted server receives.
     moved: (href) => window.liveSocket?.main?.setHref(href),

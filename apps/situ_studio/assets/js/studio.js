@@ -24,7 +24,7 @@ import { formatAbsolute } from "./time/text.js";
 import { onClock, setSelectionStart } from "./time/clock.js";
 
 export class Studio {
-  // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, push, moved}
+  // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, start, push, moved}
   constructor(root, options) {
     this.root = root;
     this.options = options;
@@ -163,6 +163,9 @@ export class Studio {
     const asked = this.address.readLink(origin);
     if (asked.snap) this.client.setSnap(asked.snap);
     if (asked.view || asked.cursor != null || asked.sel) this.time.dispatch({ type: "restore", ...asked });
+    // All images have begun then.
+    else if (this.options.start)
+      this.time.dispatch({ type: "cursor", t: Number(BigInt(this.options.start) - origin) });
     if (asked.live || (reply.live && !asked.view))
       this.time.dispatch({ type: "live", on: true, width: readSetting("live") });
     document.body.dataset.ready = "1";

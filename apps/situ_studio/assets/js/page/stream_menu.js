@@ -23,7 +23,7 @@ async function proposeAnnotations(app, stream, shape) {
 }
 
 // Panels that accept several streams, as joined by `Situ.Studio.Layout`.
-const JOINED = ["plot", "lanes", "image", "space", "map", "xy"];
+const JOINED = ["plot", "lanes", "image", "space", "map", "xy", "table"];
 
 export function streamItems(app, node) {
   const { stream, shape, type, path, address } = node.dataset;

@@ -23,6 +23,7 @@ import { BarsPanel } from "./bars.js";
 import { TextPanel } from "./text.js";
 import { ValuePanel } from "./value.js";
 import { LogPanel } from "./log.js";
+import { TablePanel } from "./table.js";
 import { XYPanel } from "./xy.js";
 
 const ALL = [
@@ -47,5 +48,12 @@ const visualizers = new Map(ALL.map((v) => [v.id, v]));
 // Returns the visualizer with this name, or the usual one of the panel.
 export const getVisualizer = (name, usual) => visualizers.get(name) ?? visualizers.get(usual);
 
-// Panels that a single visualizer fills.
-export const WHOLE = { bars: BarsPanel, text: TextPanel, value: ValuePanel, log: LogPanel, xy: XYPanel };
+// Panels that one visualizer fills.
+export const WHOLE = {
+  bars: BarsPanel,
+  text: TextPanel,
+  value: ValuePanel,
+  log: LogPanel,
+  table: TablePanel,
+  xy: XYPanel,
+};

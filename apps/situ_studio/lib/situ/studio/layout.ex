@@ -24,14 +24,27 @@ defmodule Situ.Studio.Layout do
     # Represents a panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With
     # `axis: :own`, each line of a plot is scaled to its own minimum and maximum within the view.
     # `threshold` covers the values below or above a limit, so that the other values stand out.
+    # `aspect` is the ratio of width to height of a cell, which divides the width of its row.
     @enforce_keys [:id, :panel]
-    defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil, threshold: nil]
+    defstruct [:id, :panel, :aspect, row: nil, height: nil, vis: [], axis: nil, threshold: nil]
 
     @type t :: %__MODULE__{
             id: String.t(),
             panel:
-              :plot | :lanes | :image | :space | :map | :value | :bars | :text | :log | :xy | :own,
+              :plot
+              | :lanes
+              | :image
+              | :space
+              | :map
+              | :value
+              | :bars
+              | :text
+              | :log
+              | :table
+              | :xy
+              | :own,
             row: String.t() | nil,
+            aspect: float() | nil,
             height: pos_integer() | nil,
             vis: [Visualization.t()],
             axis: {number(), number()} | :own | nil,
@@ -39,7 +52,7 @@ defmodule Situ.Studio.Layout do
           }
   end
 
-  alias Situ.Studio.Layout.Rows
+  alias Situ.Studio.Layout.{Arrangement, Rows}
 
   @enforce_keys [:name]
   defstruct [:name, rows: [], next: 1, cell_column: false, compared: nil]
@@ -58,7 +71,7 @@ defmodule Situ.Studio.Layout do
         }
 
   @timeline [:plot, :lanes]
-  @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :log, :xy, :own]
+  @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :log, :table, :xy, :own]
   @max_panels 64
   @max_vis 32
   # The minimum height of a row, and its share of the remaining height.
@@ -72,14 +85,18 @@ defmodule Situ.Studio.Layout do
     bars: 160,
     text: 90,
     log: 160,
+    table: 120,
     xy: 220,
     own: 200
   }
   @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3}
-           |> Map.merge(%{log: 6, xy: 9, own: 8})
+           |> Map.merge(%{log: 6, table: 5, xy: 9, own: 8})
   @lane 26
   # The maximum height of a lane, so that a panel with few lanes leaves the remaining height to other panels.
   @lane_most 36
+  # The limits of the height of a row whose cells have a known aspect, in pixels and in percent of the window.
+  @least_cells 180
+  @most_cells 48
   # Panels with more lanes get the height of this many.
   @max_lanes 12
 
@@ -141,8 +158,10 @@ defmodule Situ.Studio.Layout do
   # Visualizers of image panels other than images and depth images are drawn as overlays.
   defp overlay?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
 
-  # Values and charts show one stream per panel; lines, lanes and images show several.
-  defp shares_panel?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map, :xy]
+  # Values and charts show one stream per panel; lines, lanes, images and tables show several.
+  defp shares_panel?(panel, panel),
+    do: panel in [:plot, :lanes, :image, :space, :map, :table, :xy]
+
   defp shares_panel?(_, _), do: false
 
   defp add_panel(layout, panel, vis, row) do
@@ -165,6 +184,39 @@ defmodule Situ.Studio.Layout do
     |> Enum.filter(fn {_, cells} -> length(cells) < 3 end)
     |> Enum.map(&elem(&1, 0))
     |> List.last()
+  end
+
+  @doc "Returns the streams that no panel shows."
+  @spec left_out(t(), [stream]) :: [stream] when stream: %{name: String.t()}
+  def left_out(%__MODULE__{rows: rows}, streams) do
+    shown = for panel <- rows, vis <- panel.vis, into: MapSet.new(), do: vis.stream
+    Enum.reject(streams, &(&1.name in shown))
+  end
+
+  @doc """
+  Appends the panels of another layout, with new ids. Cells are inserted below the other cells.
+
+      iex> [a, b] = for stream <- ["A", "B"] do
+      ...>   {:ok, layout, "p1"} = Situ.Studio.Layout.add_stream(Situ.Studio.Layout.new(""), stream, "line", :plot, "")
+      ...>   layout
+      ...> end
+      iex> for p <- Situ.Studio.Layout.append(a, b).rows, do: {p.id, hd(p.vis).stream}
+      [{"p1", "A"}, {"p2", "B"}]
+  """
+  @spec append(t(), t()) :: t()
+  def append(%__MODULE__{} = layout, %__MODULE__{} = other) do
+    other
+    |> panel_lines()
+    |> Enum.take(max(@max_panels - length(layout.rows), 0))
+    |> Enum.reduce(layout, fn line, layout ->
+      row = if hd(line).row, do: Rows.unused_row_name(layout.rows)
+      Enum.reduce(line, layout, &append_panel(&2, %{&1 | row: row}))
+    end)
+  end
+
+  defp append_panel(layout, panel) do
+    panel = %{panel | id: "p#{layout.next}"}
+    %{layout | rows: Rows.insert(layout.rows, panel), next: layout.next + 1}
   end
 
   @doc "Applies `fun` to one panel."
@@ -254,11 +306,17 @@ defmodule Situ.Studio.Layout do
   """
   @spec line_style([Panel.t(), ...], map()) :: String.t()
   def line_style(line, lanes) do
-    if Enum.any?(line, & &1.height) do
-      "flex: 0 0 #{line_height(line, lanes)}px"
-    else
-      weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
-      "flex: #{weight} 0 #{line_height(line, lanes)}px#{max_height_style(line, lanes)}"
+    cond do
+      Enum.any?(line, & &1.height) ->
+        "flex: 0 0 #{line_height(line, lanes)}px"
+
+      Enum.any?(line, & &1.aspect) ->
+        "flex: 0 1 auto; min-height: #{@least_cells}px; max-height: #{@most_cells}vh; " <>
+          "aspect-ratio: #{Arrangement.sum_aspects(line)}"
+
+      true ->
+        weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
+        "flex: #{weight} 0 #{line_height(line, lanes)}px#{max_height_style(line, lanes)}"
     end
   end
 

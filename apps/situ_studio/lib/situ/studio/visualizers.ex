@@ -23,6 +23,7 @@ defmodule Situ.Studio.Visualizers do
     Spans,
     Spectrogram,
     States,
+    Table,
     Text,
     Trail,
     Value,
@@ -31,7 +32,7 @@ defmodule Situ.Studio.Visualizers do
   }
 
   @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Masks, Bars] ++
-             [Space, Trail, Frames, GeoMap, XY, Spectrogram, Text, Value, Log] ++
+             [Space, Trail, Frames, GeoMap, XY, Spectrogram, Text, Value, Table, Log] ++
              [Messages, Latency]
 
   @doc "Returns all visualizers; the `extra` modules come first."
@@ -42,7 +43,7 @@ defmodule Situ.Studio.Visualizers do
   Returns the visualizers for a stream of this shape, the default first.
 
       iex> for v <- Situ.Studio.Visualizers.for_shape(:boolean), do: v.id
-      ["states", "line", "value", "log", "messages", "latency"]
+      ["states", "line", "value", "table", "log", "messages", "latency"]
   """
   @spec for_shape(StreamInfo.shape(), [Visualizer.definition()]) :: [Visualizer.t()]
   def for_shape(shape, extra \\ []),

@@ -336,8 +336,87 @@ defmodule Situ.Studio.LayoutTest do
     assert [["Pan"], ["Left", "Right"], ["Sound"], ["Level"]] =
              for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
 
-    assert %{cell_column: true} = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
+    # Three images of the usual shape are larger side by side than one below the other.
+    assert %{cell_column: false} =
+             layout = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
+
+    assert [["Left", "Pan", "Right"], ["Sound"], ["Level"]] = lines(layout)
   end
+
+  test "puts a tall image next to the timelines" do
+    streams = [
+      %StreamInfo{name: "Phone", shape: :image},
+      %StreamInfo{name: "Sound", shape: :audio},
+      %StreamInfo{name: "Level", shape: :signal}
+    ]
+
+    looks = %{"Phone" => %ImageLook{width: 720, height: 1280}}
+    assert %{cell_column: true} = layout = Layout.Auto.build_layout(streams, looks)
+    assert hd(layout.rows).aspect == 0.56
+  end
+
+  test "cells share the width of a row by their shapes" do
+    streams = [
+      %StreamInfo{name: "Camera", shape: :image},
+      %StreamInfo{name: "Way", shape: :place},
+      %StreamInfo{name: "Speed", shape: :signal}
+    ]
+
+    looks = %{"Camera" => %ImageLook{width: 1920, height: 1080}}
+    layout = Layout.Auto.build_layout(streams, looks)
+    assert [["Camera", "Way"], ["Speed"]] = lines(layout)
+    [cells | _] = Layout.panel_lines(layout)
+    assert Layout.line_style(cells, %{}) =~ "aspect-ratio: 3.08"
+
+    assert Enum.map(cells, &Layout.Arrangement.cell_style/1) == [
+             "flex-grow: 1.78",
+             "flex-grow: 1.3"
+           ]
+
+    assert {:ok, ^layout} = layout |> Layout.Json.to_json() |> Layout.Json.parse_json()
+  end
+
+  property "arranging keeps every panel, and gives cells unique rows of at most three" do
+    forall ratios <- list(integer(1, 40)) do
+      streams =
+        for {_, i} <- Enum.with_index(ratios), do: %StreamInfo{name: "I#{i}", shape: :image}
+
+      looks =
+        for {r, i} <- Enum.with_index(ratios),
+            into: %{},
+            do: {"I#{i}", %ImageLook{width: r, height: 10}}
+
+      plots = [%StreamInfo{name: "A", shape: :audio}, %StreamInfo{name: "L", shape: :signal}]
+      shown = streams |> Enum.map(& &1.name) |> Enum.take(3)
+
+      for timelines <- [[], tl(plots), plots] do
+        layout = Layout.Auto.build_layout(streams ++ timelines, looks)
+        drawn = layout |> lines() |> List.flatten()
+        assert Enum.sort(drawn) == Enum.sort(shown ++ Enum.map(timelines, & &1.name))
+        assert layout |> Layout.panel_lines() |> Enum.all?(&(length(&1) <= 3))
+      end
+    end
+  end
+
+  test "draws signals of different magnitudes in different panels" do
+    streams =
+      for n <- ["Arm.Angle", "Arm.Tilt", "Arm.Torque"], do: %StreamInfo{name: n, shape: :signal}
+
+    ranges = %{"Arm.Angle" => {-1, 1}, "Arm.Tilt" => {0, 0.5}, "Arm.Torque" => {0, 1.0e12}}
+
+    assert [["Arm.Angle", "Arm.Tilt"], ["Arm.Torque"]] =
+             for(
+               p <- Layout.Auto.build_layout(streams, %{}, ranges).rows,
+               do: Enum.map(p.vis, & &1.stream)
+             )
+
+    # A constant stream is a line anywhere, but it must not flatten the others.
+    constant = Map.put(ranges, "Arm.Tilt", {20, 20})
+    assert length(Layout.Auto.build_layout(streams, %{}, constant).rows) == 3
+  end
+
+  defp lines(layout),
+    do: for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
 
   test "colors images of class numbers: over a camera's image, or alone" do
     streams = for n <- ["Cam.Image", "Cam.Classes"], do: %StreamInfo{name: n, shape: :image}
@@ -365,6 +444,12 @@ defmodule Situ.Studio.LayoutTest do
     assert Enum.map([noise, even, labels], &look.(&1).classes) == [false, false, true]
 
     assert ImageLook.detect_look("no picture") == nil
+  end
+
+  test "decodes an image of unknown size to determine its look" do
+    {:ok, jpeg} = Situ.ImageOps.encode_jpeg(Situ.Image.new_filled(64, 32, :rgb24, [9, 9, 9]))
+    assert ImageLook.ratio(ImageLook.detect_look(%{jpeg | width: 0, height: 0})) == 2.0
+    assert ImageLook.detect_look(%{jpeg | width: 0, height: 0, data: "broken"}) == nil
   end
 
   test "the automatic layout of a talk puts speakers in lanes and openings in lines" do

@@ -38,6 +38,9 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Spans
   doctest Situ.Studio.Visualizers.Lines
   doctest Situ.Studio.Visualizers.Log
+  doctest Situ.Studio.Visualizers.Table
+  doctest Situ.Studio.Layout.Arrangement
+  doctest Situ.Studio.Layout.SignalRange
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
   doctest Situ.Studio.Annotations.Files

@@ -4,12 +4,12 @@ defmodule Situ.Studio.Layout.Auto do
   # with their shapes come first, then audio, then lanes of states, intervals and labels, then
   # maps of numbers as lines, then signals, with one panel per group.
   #
-  # Images are next to the timelines. If one of them is much wider than high, all images are above
-  # the timelines, and the wide one has its own row. Images of class numbers
-  # (`Situ.Studio.Layout.ImageLook`) are coloured, and are drawn over a camera image if there is
-  # one.
+  # `Situ.Studio.Layout.Arrangement` decides where images and other cells are. Images of class
+  # numbers (`Situ.Studio.Layout.ImageLook`) are coloured, and are drawn over a camera image if
+  # there is one. Signals share an axis if they belong together and have similar ranges
+  # (`Situ.Studio.Layout.SignalRange`).
   alias Situ.Studio.{Layout, NaturalOrder, StreamInfo}
-  alias Situ.Studio.Layout.ImageLook
+  alias Situ.Studio.Layout.{Arrangement, ImageLook, SignalRange}
 
   @name "Automatic"
   @pictures 3
@@ -19,15 +19,14 @@ defmodule Situ.Studio.Layout.Auto do
   @lanes 10
   @sounds 3
   @maps 3
-  @many 2
 
   @doc "Returns the display name of the layout."
   @spec layout_name() :: String.t()
   def layout_name, do: @name
 
   @doc """
-  Builds the layout of these streams. `looks` describes the images of some streams, by stream
-  name.
+  Builds the layout of these streams. `looks` describes the images of some streams, and `ranges`
+  the values of some signals, by stream name.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
@@ -35,8 +34,12 @@ defmodule Situ.Studio.Layout.Auto do
       iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
-  @spec build_layout([StreamInfo.t()], %{optional(String.t()) => ImageLook.t()}) :: Layout.t()
-  def build_layout(streams, looks \\ %{}) do
+  @spec build_layout(
+          [StreamInfo.t()],
+          %{optional(String.t()) => ImageLook.t()},
+          %{optional(String.t()) => SignalRange.t()}
+        ) :: Layout.t()
+  def build_layout(streams, looks \\ %{}, ranges \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)
     of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.sort_key(&1.name)) end
     {classes, images} = Enum.split_with(of.(:image), &match?(%{classes: true}, looks[&1.name]))
@@ -51,7 +54,7 @@ defmodule Situ.Studio.Layout.Auto do
     |> add_timeline_panels(Enum.take(of.(:audio), @sounds), "waveform", :plot)
     |> add_lanes_panel(of |> lane_streams() |> Enum.take(@lanes))
     |> add_timeline_panels(Enum.take(of.(:signals), @maps), "lines", :plot)
-    |> add_plot_panels(of.(:signal))
+    |> add_plot_panels(of.(:signal), ranges)
     |> add_fallback_panels(streams)
     |> arrange_panels(looks)
   end
@@ -61,26 +64,15 @@ defmodule Situ.Studio.Layout.Auto do
     for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
   end
 
-  # Images are next to several timelines, unless an image needs the whole width.
+  # The content of a cell is as wide as its first image of a known size.
   defp arrange_panels(layout, looks) do
-    {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
-    wide? = fn cell -> Enum.any?(cell.vis, &ImageLook.wide?(looks[&1.stream])) end
+    ratios =
+      for panel <- layout.rows,
+          %ImageLook{} = look <- Enum.map(panel.vis, &looks[&1.stream]) |> Enum.take(1),
+          into: %{},
+          do: {panel.id, ImageLook.ratio(look)}
 
-    cond do
-      cells == [] or timelines == [] -> layout
-      Enum.any?(cells, wide?) -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
-      length(timelines) >= @many -> %{layout | cell_column: true}
-      true -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
-    end
-  end
-
-  # Wide cells get their own rows; the others are side by side.
-  defp assign_rows_above(cells, wide?) do
-    {wide, others} = Enum.split_with(cells, wide?)
-
-    (Enum.map(wide, &[&1]) ++ Enum.chunk_every(others, @pictures))
-    |> Enum.with_index(1)
-    |> Enum.flat_map(fn {line, i} -> Enum.map(line, &%{&1 | row: "r#{i}"}) end)
+    Arrangement.arrange(layout, ratios)
   end
 
   # All spatial streams and their frames of reference share one panel.
@@ -186,9 +178,10 @@ defmodule Situ.Studio.Layout.Auto do
     layout
   end
 
-  defp add_plot_panels(layout, signals) do
+  defp add_plot_panels(layout, signals, ranges) do
     signals
     |> Enum.chunk_by(&stream_group(&1.name))
+    |> Enum.flat_map(&SignalRange.group_similar(&1, ranges, fn s -> s.name end))
     |> Enum.flat_map(&Enum.chunk_every(&1, @lines))
     |> Enum.take(@plots)
     |> Enum.reduce(layout, &add_plot_panel/2)

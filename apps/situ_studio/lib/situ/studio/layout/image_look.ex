@@ -3,7 +3,7 @@ defmodule Situ.Studio.Layout.ImageLook do
   # Determines the look of a stream's images from one of them: their shape, and whether their
   # values are class numbers (labels of a segmentation) rather than shades of grey. Drawn in grey,
   # class numbers would be nearly black.
-  alias Situ.{EncodedImage, Image}
+  alias Situ.{EncodedImage, Image, ImageOps}
   alias Situ.Studio.{StreamInfo, StreamReader}
 
   @enforce_keys [:width, :height]
@@ -13,8 +13,6 @@ defmodule Situ.Studio.Layout.ImageLook do
 
   # The maximum number of streams to examine.
   @most 6
-  # An image with at least this ratio of width to height needs the full width of the window.
-  @wide 2.2
   # Class numbers are small, and neighbouring pixels mostly have the same class, whereas a dark image has noise.
   @classes 64
   @same 0.85
@@ -37,8 +35,8 @@ defmodule Situ.Studio.Layout.ImageLook do
 
       iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
       iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
-      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
-      {false, true}
+      iex> {look.classes, Situ.Studio.Layout.ImageLook.ratio(look)}
+      {false, 4.0}
       iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
       iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
       true
@@ -47,13 +45,19 @@ defmodule Situ.Studio.Layout.ImageLook do
   def detect_look(%Image{width: w, height: h} = image),
     do: build_look(w, h, class_numbers?(image))
 
+  # The images of some file formats have no size until they are decoded.
+  def detect_look(%EncodedImage{width: 0} = encoded) do
+    with {:ok, %{width: w, height: h}} <- ImageOps.parse(encoded),
+         do: build_look(w, h, false),
+         else: (_ -> nil)
+  end
+
   def detect_look(%EncodedImage{width: w, height: h}), do: build_look(w, h, false)
   def detect_look(_), do: nil
 
-  @doc "Returns whether the image is much wider than high."
-  @spec wide?(t() | nil) :: boolean()
-  def wide?(nil), do: false
-  def wide?(%__MODULE__{width: w, height: h}), do: w >= @wide * h
+  @doc "Returns the ratio of width to height."
+  @spec ratio(t()) :: float()
+  def ratio(%__MODULE__{width: w, height: h}), do: w / h
 
   defp build_look(w, h, classes) when is_integer(w) and is_integer(h) and w > 0 and h > 0,
     do: %__MODULE__{width: w, height: h, classes: classes}

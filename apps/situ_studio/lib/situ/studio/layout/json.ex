@@ -35,6 +35,7 @@ defmodule Situ.Studio.Layout.Json do
     %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
     |> put_present("row", p.row)
     |> put_present("height", p.height)
+    |> put_present("aspect", p.aspect)
     |> put_present("axis", axis_json(p.axis))
     |> put_present("threshold", p.threshold && Tuple.to_list(p.threshold))
   end
@@ -115,6 +116,7 @@ defmodule Situ.Studio.Layout.Json do
         panel: kind,
         row: if(Layout.timeline?(kind), do: nil, else: row || "r" <> id),
         height: doc["height"],
+        aspect: parse_aspect(doc["aspect"]),
         vis: vis,
         axis: parse_axis(doc["axis"]),
         threshold: parse_threshold(doc["threshold"])
@@ -125,6 +127,9 @@ defmodule Situ.Studio.Layout.Json do
   end
 
   defp read_panel(_), do: :error
+
+  defp parse_aspect(ratio) when is_number(ratio) and ratio >= 0.1 and ratio <= 20, do: ratio / 1
+  defp parse_aspect(_), do: nil
 
   defp parse_axis([min, max]) when is_number(min) and is_number(max) and min < max, do: {min, max}
   defp parse_axis("own"), do: :own

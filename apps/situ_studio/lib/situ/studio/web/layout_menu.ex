@@ -101,7 +101,15 @@ defmodule Situ.Studio.Web.LayoutMenu do
         &(&1.name == edited or Recordings.Comparison.compared_stream?(&1.name))
       )
 
-    Layout.Auto.build_layout(infos, Layout.ImageLook.detect_looks(assigns.source, infos))
+    build_automatic(infos, assigns.source)
+  end
+
+  defp build_automatic(infos, source) do
+    Layout.Auto.build_layout(
+      infos,
+      Layout.ImageLook.detect_looks(source, infos),
+      Layout.SignalRange.detect_ranges(source, infos)
+    )
   end
 
   defp add_compared_streams(layout, %{compared: nil}), do: layout
@@ -128,6 +136,12 @@ defmodule Situ.Studio.Web.LayoutMenu do
       {:error, error} ->
         {:noreply, show_toast(socket, error)}
     end
+  end
+
+  # Shows some of the streams that the layout leaves out.
+  def handle_event("layout_more", _, %{assigns: assigns} = socket) do
+    more = assigns.layout |> Layout.left_out(assigns.infos) |> build_automatic(assigns.source)
+    {:noreply, assign(socket, layout: Layout.append(assigns.layout, more))}
   end
 
   def handle_event("layout_dialog", _, %{assigns: %{read_only: false}} = socket),

@@ -20,9 +20,37 @@ defmodule Situ.Studio.Web.MainAssigns do
       stream: selected_stream(assigns),
       group: StreamTree.selected_group(assigns),
       panel: selected_panel(assigns),
+      start: first_cell_time(assigns.layout, assigns.infos),
+      more_streams: count_more(assigns),
       edit: encode_edit(assigns.layout, assigns.saved),
       pipeline: pipeline_path(assigns.item, assigns.infos)
     ]
+  end
+
+  # The time at which every image and other cell has content, if it is in the first half of the data; else `nil`.
+  defp first_cell_time(layout, infos) do
+    cells = for %{row: row, vis: [vis | _]} <- layout.rows, row != nil, do: vis.stream
+    starts = for %{first: first, name: name} <- infos, first != nil, name in cells, do: first
+
+    with [_ | _] <- starts,
+         start = Enum.max(starts),
+         %{first: from, last: to} <- extent(infos),
+         true <- start > from and start - from <= div(to - from, 2),
+         do: Integer.to_string(start),
+         else: (_ -> nil)
+  end
+
+  defp extent(infos) do
+    times = for %{first: first, last: last} <- infos, first != nil, do: {first, last}
+    {firsts, lasts} = Enum.unzip(times)
+    %{first: Enum.min(firsts), last: Enum.max(lasts)}
+  end
+
+  # A layout with a name contains the streams that somebody wanted.
+  defp count_more(%{saved: saved, layout: layout, infos: infos}) do
+    if saved.name == Layout.Auto.layout_name(),
+      do: length(Layout.left_out(layout, infos)),
+      else: 0
   end
 
   defp selected_stream(%{selected: {:stream, name}, infos: streams}),

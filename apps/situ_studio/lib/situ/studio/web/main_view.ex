@@ -331,7 +331,7 @@ defmodule Situ.Studio.Web.MainView do
     assigns = assign(assigns, MainAssigns.derive_values(assigns))
 
     ~H"""
-    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
+    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name} data-start={@start}
         data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
         data-annotate={@annotation && @annotation.stream} data-dataset={@item.session && @item.dataset}
         data-keep={@saved.name != Layout.Auto.layout_name() && @keep}>
@@ -350,7 +350,7 @@ defmodule Situ.Studio.Web.MainView do
         <button class="pill" type="button" data-act="live"
           title="Follow the live data (l)">Back to live</button>
         <Panels.panel_stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
-          annotation={@annotation && @annotation.stream} streams={length(@infos)} />
+          annotation={@annotation && @annotation.stream} streams={length(@infos)} more={@more_streams} />
       </main>
       <Sidebars.properties_sidebar stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
       <QueryPanel.search_panel :if={@query_panel} panel={@query_panel} from={StreamFacts.data_start(assigns)}

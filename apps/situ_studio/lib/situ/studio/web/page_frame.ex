@@ -3,6 +3,7 @@ defmodule Situ.Studio.Web.PageFrame do
   # Renders the frame around the panels: toolbar, time display, status bar and dialogs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
+  alias Situ.Studio.Layout
 
   @doc false
   def page_layout(assigns) do
@@ -150,7 +151,7 @@ defmodule Situ.Studio.Web.PageFrame do
 
   @doc false
   def status_bar(assigns) do
-    assigns = assign(assigns, left_out: count_left_out(assigns.infos, assigns.layout))
+    assigns = assign(assigns, left_out: length(Layout.left_out(assigns.layout, assigns.infos)))
 
     ~H"""
     <footer class="status">
@@ -175,12 +176,6 @@ defmodule Situ.Studio.Web.PageFrame do
 
   defp count_text(1), do: "1 stream"
   defp count_text(n), do: "#{n} streams"
-
-  # Counts the streams that no panel shows.
-  defp count_left_out(infos, layout) do
-    shown = for panel <- layout.rows, vis <- panel.vis, into: MapSet.new(), do: vis.stream
-    Enum.count(infos, &(&1.name not in shown))
-  end
 
   @doc false
   def script_dialogs(assigns) do

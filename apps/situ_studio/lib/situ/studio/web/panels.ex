@@ -16,6 +16,8 @@ defmodule Situ.Studio.Web.Panels do
   attr(:streams, :integer, required: true)
   attr(:maximised, :any, required: true)
   attr(:annotation, :any, default: nil)
+  # The number of streams that the automatic layout leaves out.
+  attr(:more, :integer, default: 0)
 
   @doc false
   def panel_stack(assigns) do
@@ -42,6 +44,8 @@ defmodule Situ.Studio.Web.Panels do
             aria-label="Time navigator"></div>
         <.panel_row :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max}
             known={@known} />
+        <button :if={@more > 0 and @layout.rows != []} class="more-streams" type="button"
+            phx-click="layout_more">Show more streams ({@more})</button>
         <AnnotationPanel.annotation_panel :if={@annotation} stream={@annotation} />
         <div :if={@layout.rows == [] and @streams > 0}
             class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>
@@ -79,7 +83,8 @@ defmodule Situ.Studio.Web.Panels do
     <section class={["row-box cells", contains_panel?([@line], @max) && "maxed"]} id={"row-" <> row_id(@line)}
         data-row={row_id(@line)} style={Layout.line_style(@line, @known.lanes)}>
       <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} data-panel={panel.id} data-menu="panel"
-          class={["cell", @selected == {:panel, panel.id} && "selected", @max == panel.id && "maxed"]}>
+          class={["cell", @selected == {:panel, panel.id} && "selected", @max == panel.id && "maxed"]}
+          style={Layout.Arrangement.cell_style(panel)}>
         <div class="cell-head">
           <.drag_handle id={panel.id} kind="cell" />
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}

@@ -246,7 +246,14 @@ defmodule Situ.Studio.Web.Sidebars do
 
   defp panel_title(%{panel: panel}) do
     %{plot: "Plot", lanes: "Lanes", image: "Image", value: "Value", bars: "Bars", text: "Text"}
-    |> Map.merge(%{space: "In space", map: "Map", log: "List", xy: "XY plot", own: "Panel"})
+    |> Map.merge(%{
+      space: "In space",
+      map: "Map",
+      log: "List",
+      table: "Table",
+      xy: "XY plot",
+      own: "Panel"
+    })
     |> Map.fetch!(panel)
   end
 
