@@ -54,7 +54,8 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "time 0 of the file (default: the start of --media-of, or of the other streams of the recording or session; else the first annotation)"
+            "time 0 of the file (default: the start of --media-of, of the session or the recording; " <>
+              "else the first annotation)"
           ),
           Option.new(
             :media_of,

@@ -52,7 +52,7 @@ defmodule Situ.Studio.Layout do
           }
   end
 
-  alias Situ.Studio.Layout.{Arrangement, Rows}
+  alias Situ.Studio.Layout.Rows
 
   @enforce_keys [:name]
   defstruct [:name, rows: [], next: 1, cell_column: false, compared: nil]
@@ -312,13 +312,18 @@ defmodule Situ.Studio.Layout do
 
       Enum.any?(line, & &1.aspect) ->
         "flex: 0 1 auto; min-height: #{@least_cells}px; max-height: #{@most_cells}vh; " <>
-          "aspect-ratio: #{Arrangement.sum_aspects(line)}"
+          "aspect-ratio: #{Rows.sum_aspects(line)}"
 
       true ->
         weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
         "flex: #{weight} 0 #{line_height(line, lanes)}px#{max_height_style(line, lanes)}"
     end
   end
+
+  @doc "Returns the CSS of a cell's share of the width of its row, or `nil`."
+  @spec cell_style(Panel.t()) :: String.t() | nil
+  def cell_style(%Panel{aspect: nil}), do: nil
+  def cell_style(%Panel{aspect: aspect}), do: "flex-grow: #{aspect}"
 
   defp max_height_style([%Panel{panel: :lanes, vis: [_ | _] = vis}], lanes),
     do: "; max-height: #{count_lanes(vis, lanes) * @lane_most + 8}px"

@@ -368,7 +368,7 @@ defmodule Situ.Studio.LayoutTest do
     [cells | _] = Layout.panel_lines(layout)
     assert Layout.line_style(cells, %{}) =~ "aspect-ratio: 3.08"
 
-    assert Enum.map(cells, &Layout.Arrangement.cell_style/1) == [
+    assert Enum.map(cells, &Layout.cell_style/1) == [
              "flex-grow: 1.78",
              "flex-grow: 1.3"
            ]

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Layout.Arrangement do
   # Arranges the cells of an automatic layout: in rows above the timelines, or in a column next to them, whichever shows
   # their content larger in a window of 1280 x 800 pixels. Pure.
   alias Situ.Studio.Layout
-  alias Situ.Studio.Layout.Panel
+  alias Situ.Studio.Layout.Rows
 
   # The area of the panels in that window, the head of a cell, and the share of the width that the column has.
   @width 1_040
@@ -73,7 +73,7 @@ defmodule Situ.Studio.Layout.Arrangement do
   defp rows_benefit(rows, timelines) do
     needed = timelines |> Enum.map(&Layout.line_height([&1])) |> Enum.sum()
     available = (@height - 1.1 * needed) |> max(@least * @height) |> min(@most * @height)
-    rows |> Enum.map(&{&1, @width / sum_aspects(&1)}) |> benefit_within(available)
+    rows |> Enum.map(&{&1, @width / Rows.sum_aspects(&1)}) |> benefit_within(available)
   end
 
   defp column_benefit(cells) do
@@ -91,13 +91,4 @@ defmodule Situ.Studio.Layout.Arrangement do
       sum -> sum + :math.log(cell.aspect * max(factor * (height + @head) - @head, 1) ** 2)
     end
   end
-
-  @doc "Returns the ratio of width to height of a row of cells."
-  @spec sum_aspects([Panel.t()]) :: float()
-  def sum_aspects(row), do: row |> Enum.map(&(&1.aspect || @other)) |> Enum.sum()
-
-  @doc "Returns the CSS of a cell's width in its row."
-  @spec cell_style(Panel.t()) :: String.t() | nil
-  def cell_style(%Panel{aspect: nil}), do: nil
-  def cell_style(%Panel{aspect: aspect}), do: "flex-grow: #{aspect}"
 end

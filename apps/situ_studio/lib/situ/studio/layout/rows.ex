@@ -18,6 +18,13 @@ defmodule Situ.Studio.Layout.Rows do
   @spec group_rows([Panel.t()]) :: [[Panel.t(), ...]]
   def group_rows(panels), do: Enum.chunk_by(panels, &panel_row/1)
 
+  # The ratio of a cell whose content has no known ratio.
+  @aspect 1.3
+
+  @doc "Returns the ratio of width to height of a row of cells."
+  @spec sum_aspects([Panel.t(), ...]) :: float()
+  def sum_aspects(row), do: row |> Enum.map(&(&1.aspect || @aspect)) |> Enum.sum()
+
   @doc "Inserts a new panel. Cells stay together, above the timelines."
   @spec insert([Panel.t()], Panel.t()) :: [Panel.t()]
   def insert(panels, %Panel{row: nil} = panel), do: panels ++ [panel]

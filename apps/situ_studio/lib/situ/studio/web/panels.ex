@@ -84,7 +84,7 @@ defmodule Situ.Studio.Web.Panels do
         data-row={row_id(@line)} style={Layout.line_style(@line, @known.lanes)}>
       <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} data-panel={panel.id} data-menu="panel"
           class={["cell", @selected == {:panel, panel.id} && "selected", @max == panel.id && "maxed"]}
-          style={Layout.Arrangement.cell_style(panel)}>
+          style={Layout.cell_style(panel)}>
         <div class="cell-head">
           <.drag_handle id={panel.id} kind="cell" />
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}
