@@ -8,6 +8,6 @@ defmodule Situ.Cluster.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([:crypto])
+    Situ.MixApp.application([:crypto], env: [metrics: [Situ.Cluster.ClusterMetrics]])
   end
 end

@@ -186,10 +186,12 @@ start_vm() {
   # supervisor reports are omitted: a reader that closes the pipe early (head) should not cause one.
   local erlang_log="[{handler,default,logger_std_h,#{config=>#{type=>standard_error},"
   erlang_log+="filters=>[{reports,{fun'logger_filters':domain/2,{stop,sub,[otp,sasl]}}}]}}]"
+  local lines='{format,<<"$time [$level] $message\n">>}'
+  if [ "${SITU_LOG_FORMAT:-}" = json ]; then lines="{format,{'Elixir.Situ.JsonLog',format}},{metadata,all}"; fi
   # shellcheck disable=SC2086
   exec "${erl[@]}" -noshell +Bd $flags -pa "${code[@]}" \
     -kernel logger "$erlang_log" \
-    -logger console '[{device,standard_error},{format,<<"$time [$level] $message\n">>}]' \
+    -logger console "[{device,standard_error},$lines]" \
     -run code del_path . -run file set_cwd / -run file set_cwd "$caller_folder" "$@"
 }
 

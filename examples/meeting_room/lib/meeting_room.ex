@@ -36,7 +36,7 @@ defmodule MeetingRoom do
     speaking =
       room.video |> MouthShape.detect() |> Infer.who_speaks(voice.voice) |> Situ.name("Speaking")
 
-    # An utterance ends where the voice pauses, or where another person goes on.
+    # An utterance ends where the voice pauses, or where the speaker changes.
     said =
       [sound: room.audio, speaking: Infer.turns(voice, speaking)]
       |> Situ.via(SpeechRecognizer, partial: nil, turns: true)

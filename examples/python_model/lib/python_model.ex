@@ -1,7 +1,7 @@
 defmodule PythonModel do
   @moduledoc """
-  Records a camera only while something moves. A model in Python (`priv/motion.py`) learns what the room looks like and
-  reports the pixels that changed; Situ decides when to record.
+  Records a camera only while something moves. A model in Python (`priv/motion.py`) learns the appearance of the room
+  and reports the pixels that changed; Situ decides when to record.
   """
   use Situ.Pipeline,
     options: [
@@ -58,7 +58,7 @@ defmodule PythonModel do
     |> Situ.map(fn {image, _} -> encode(image) end, type: Situ.EncodedImage, name: "Camera")
   end
 
-  # From the pixels of the smaller image to those of the camera.
+  # Converts pixels of the smaller image to pixels of the camera.
   defp enlarge(rects) do
     for %{x: x, y: y, width: w, height: h} <- rects,
         do: Situ.Rect.new!(@reduction * x, @reduction * y, @reduction * w, @reduction * h)

@@ -16,6 +16,7 @@ defmodule Situ.Stage do
   # It uses GenStage's messages with its neighbours (see Situ.GenStage). It receives `{:situ, request}` from its
   # pipeline's server and sends `{:situ_stage, id, event}` to it.
   use GenServer
+  require Logger
 
   alias Situ.{Clock, Runtime}
   alias Situ.Component.Callback
@@ -66,6 +67,7 @@ defmodule Situ.Stage do
   def init_it(args) do
     Process.flag(:trap_exit, true)
     Process.put(:situ_pipeline, args.server)
+    Logger.metadata(pipeline: args.pipeline, component: hd(args.vertices).path)
 
     case start_component(args) do
       {:ok, state} -> Runtime.enter_loop(__MODULE__, state)

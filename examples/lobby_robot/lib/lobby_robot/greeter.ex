@@ -1,7 +1,7 @@
 defmodule LobbyRobot.Greeter do
   @moduledoc """
-  Decides whom to greet, and when. The input tells for every image and person whether the person looks at the robot. A
-  person is greeted after looking for `patience`, and again only after an absence of `absence`.
+  Decides whom to greet, and when. The input contains, for every image and person, whether the person looks at the
+  robot. A person is greeted after looking for `patience`, and again only after an absence of `absence`.
   """
   use Situ.Component,
     inputs: [in: {:map, :any, :boolean}],

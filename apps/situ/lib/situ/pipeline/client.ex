@@ -168,6 +168,16 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
+  @doc "Returns the snapshot of a pipeline, or an error if it has ended or does not respond within `timeout` ms."
+  @spec fetch_snapshot(pid(), timeout()) ::
+          {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
+  def fetch_snapshot(pid, timeout) do
+    case call_process(pid, :info, timeout, nil) do
+      {:error, error} -> {:error, error}
+      snapshot -> {:ok, snapshot}
+    end
+  end
+
   @doc "Reports movement that the pipeline's counters do not show, so that it does not count as stuck."
   @spec report_movement(Pipeline.target()) :: term()
   def report_movement(p), do: send(resolve_pid(p), :situ_moving)

@@ -149,8 +149,13 @@ defmodule Situ.Pipeline.LifecycleRunner do
   @doc "Logs an error that does not end the pipeline and calls the `:error` handlers."
   @spec report_error(State.t(), Error.t()) :: State.t()
   def report_error(state, error) do
-    Logger.warning(Exception.message(error))
+    Logger.warning(Exception.message(error), log_metadata(state, error))
     emit_error(state, error)
+  end
+
+  defp log_metadata(state, %Error{meta: meta}) do
+    [pipeline: state.settings.name] ++
+      for key <- [:component, :originating_time], value = meta[key], do: {key, value}
   end
 
   defp emit_error(state, error) do
@@ -250,7 +255,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
 
   # An error that ends the pipeline is logged once, here.
   defp perform_action({:failed, error}, state) do
-    Logger.error(Exception.message(error))
+    Logger.error(Exception.message(error), log_metadata(state, error))
     emit_error(state, error)
   end
 

@@ -35,6 +35,7 @@ defmodule Situ.Pipeline.StageProcesses do
       memory: resumed_memory(state, stage),
       id: stage.id,
       server: self(),
+      pipeline: state.settings.name,
       handle: state.handle,
       vertices: stage.vertices,
       tally: stage.tally,

@@ -4,6 +4,7 @@ defmodule Situ.Stage.SharedProcess do
   # Situ.Stage). The messages between them wait in a local queue, so they are not copied and wake up no process.
   # See docs/adr/0012-light-stages-share-a-process.md.
   use GenServer
+  require Logger
   require Situ.Stage.Pause
 
   alias Situ.Clock.Timers
@@ -58,9 +59,10 @@ defmodule Situ.Stage.SharedProcess do
   end
 
   @doc false
-  def init_it([%{server: server} | _] = stages) do
+  def init_it([%{server: server, pipeline: name} | _] = stages) do
     Process.flag(:trap_exit, true)
     Process.put(:situ_pipeline, server)
+    Logger.metadata(pipeline: name)
 
     members =
       for args <- stages,

@@ -17,7 +17,7 @@ defmodule Situ.Build.Layers do
   # | `diagnostics` | the state of a pipeline for observers: snapshots, means, tables |
   # | `application` | state shared by all pipelines of a node: the registry, last results, the reaper, code upgrades |
   # | `pipeline` | the process of one pipeline, which executes the decisions of the life cycle |
-  # | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage |
+  # | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage, metrics |
   # | `operators` | stream functions: fusion, windows, statistics, generators, parallel branches |
   # | `situ.ex` | the facade |
   alias Situ.Build.Beam
@@ -36,7 +36,7 @@ defmodule Situ.Build.Layers do
       ~w(Situ.Application.CodeReload Situ.Application.Directory Situ.Application.PipelineResults
       Situ.Application.Reaper Situ.Application.Tables),
     pipeline: ~w(Situ.Pipeline),
-    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Tap),
+    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Metrics Situ.Tap),
     operators:
       ~w(Situ.Aggregate Situ.Available Situ.Branch Situ.Filter Situ.Fusion Situ.Generator Situ.Indexer
       Situ.Interpolator Situ.MapAsync Situ.Parallel Situ.Reproducible Situ.Sampling Situ.Selection

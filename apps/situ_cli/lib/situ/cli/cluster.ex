@@ -46,6 +46,7 @@ defmodule Situ.CLI.Cluster do
             many?: true
           ),
           Option.new(:studio, :integer, "show the cluster in a studio on this port of 127.0.0.1"),
+          Option.new(:metrics, :integer, "serve /metrics and /health on this port of 127.0.0.1"),
           Option.new(:recordings, :path, "the folder of recordings that all nodes may open",
             value: "FOLDER"
           ),
@@ -121,11 +122,18 @@ defmodule Situ.CLI.Cluster do
           "the cluster is shown at #{ClusterNode.start_studio(opts[:studio], recordings)}cluster"
         )
 
+    if opts[:metrics], do: start_metrics(opts[:metrics])
+
     # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while the parts are drained.
     joined = self()
     trap = fn -> send(joined, :leave) && Process.sleep(:infinity) end
     {:ok, _} = System.trap_signal(:sigterm, trap)
     wait_for_end(name, Process.monitor(agent))
+  end
+
+  defp start_metrics(port) do
+    server = Error.unwrap!(Situ.Metrics.Server.start_link(port: port))
+    Output.puts("metrics are at http://127.0.0.1:#{Situ.Metrics.Server.port(server)}/metrics")
   end
 
   defp wait_for_end(name, monitor) do

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Layout.Arrangement do
   # The rows of cells above the timelines get at least and at most this share of the height.
   @least 0.3
   @most 0.6
-  # A cell with at least this ratio of width to height has a row of its own.
+  # A cell with at least this ratio of width to height has a separate row.
   @wide 2.2
   @cells 3
   @aspects %{space: 1.6, map: 1.3, bars: 1.2}
@@ -58,7 +58,7 @@ defmodule Situ.Studio.Layout.Arrangement do
     ratio |> max(0.45) |> min(10.0) |> Float.round(2)
   end
 
-  # Wide cells have rows of their own, and the others are side by side.
+  # Wide cells have separate rows, and the others are side by side.
   defp group_cells(cells) do
     {wide, others} = Enum.split_with(cells, &(&1.aspect >= @wide))
     Enum.map(wide, &[&1]) ++ Enum.chunk_every(others, @cells)
@@ -81,8 +81,8 @@ defmodule Situ.Studio.Layout.Arrangement do
     cells |> Enum.map(&{[&1], share * @width / &1.aspect}) |> benefit_within(@height)
   end
 
-  # The sum of the logarithms of the cells' areas if all rows together have at most this height. A cell that nearly
-  # disappears counts more than one that gets a little larger.
+  # The sum of the logarithms of the cells' areas if all rows together have at most this height. A loss
+  # of size counts more than an equal gain.
   defp benefit_within(rows, available) do
     wanted = rows |> Enum.map(fn {_, height} -> height + @head end) |> Enum.sum()
     factor = min(available / wanted, 1.0)

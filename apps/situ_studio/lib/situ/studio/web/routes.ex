@@ -11,6 +11,7 @@ defmodule Situ.Studio.Web.Routes do
     HeadsetPage,
     HomeView,
     MainView,
+    MetricsHttp,
     SensorHandler,
     SensorPage,
     SettingsView
@@ -34,6 +35,8 @@ defmodule Situ.Studio.Web.Routes do
       {:socket, "/sensor/socket", SensorHandler, Sensor, max_frame: 2_097_152},
       {:get, "/headset", {HeadsetPage, {studio, base}}},
       {:socket, "/headset/socket", SensorHandler, Headset, max_frame: 262_144},
+      {:get, "/metrics", {MetricsHttp, :metrics}},
+      {:get, "/health", {MetricsHttp, :health}},
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},

@@ -1,0 +1,158 @@
+defmodule Situ.Metrics do
+  @moduledoc """
+  The pipelines of this node as metrics, in the text format of Prometheus.
+
+      iex> {:ok, p} = Situ.Pipeline.start(
+      ...>   fn p -> p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.each(& &1, name: "Sink", async: true) end,
+      ...>   pipeline: [name: "Doc metrics"]
+      ...> )
+      iex> text = Situ.Metrics.to_text(Situ.Metrics.collect())
+      iex> text =~ ~s(situ_pipeline_running{pipeline="Doc metrics"})
+      true
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  The studio and `Situ.Metrics.Server` serve them at `/metrics`. All names begin with `situ_`; durations are in seconds
+  and sizes in bytes.
+
+  | metric | kind | labels |
+  |---|---|---|
+  | `pipeline_running`, `pipeline_uptime_seconds` | gauge | `pipeline` |
+  | `messages_emitted_total`, `messages_processed_total`, `messages_dropped_total` | counter | `pipeline`, `from`, `to` |
+  | `queue_messages` | gauge | `pipeline`, `from`, `to` |
+  | `latency_seconds` | summary: `quantile="0.99"`, sum and count | `pipeline`, `from`, `to` |
+  | `handling_seconds_total` | counter | `pipeline`, `from`, `to` |
+  | `component_errors_total`, `component_restarts_total`, `component_skipped_total` | counter | `pipeline`, `component` |
+  | `process_memory_bytes`, `process_mailbox_messages` | gauge | `pipeline`, `component` |
+  | `vm_memory_bytes` | gauge | `kind` |
+  | `vm_processes`, `vm_run_queue` | gauge | |
+  | `vm_uptime_seconds` | gauge | |
+
+  `from` and `to` are an output and an input (`"Mouth.Crop.out"`). Connections inside a process have no queue and are
+  left out. A label `component` of a process names the first of its components. `latency_seconds` is the time from a
+  message's originating time to its delivery. Its quantile is the upper bound of a histogram bucket (within 25 %) over
+  the whole run.
+
+  ## Your own metrics
+
+  An application adds metrics with a module that implements `c:collect_metrics/0`. It lists the module in `application/0`
+  of its `mix.exs`: `env: [metrics: [MyApp.Metrics]]`.
+
+      defmodule MyApp.Metrics do
+        @behaviour Situ.Metrics
+
+        @impl true
+        def collect_metrics,
+          do: [%{name: "lobby_visitors_total", type: :counter, help: "Visitors so far.", samples: [{[], 3}]}]
+      end
+  """
+  alias Situ.Application.Directory
+  alias Situ.Metrics.{PipelineMetrics, TextFormat, VmMetrics}
+  alias Situ.Pipeline.Client
+
+  require Logger
+
+  # A pipeline that does not respond for this long is left out, in ms.
+  @timeout 2_000
+
+  @typedoc "Names and values of labels, which distinguish the samples of a metric."
+  @type labels :: [{atom(), String.t()}]
+
+  @typedoc """
+  One metric. `name` consists of letters, digits and underscores. Samples of a summary have the third element
+  `:quantile`, `:sum` or `:count`.
+  """
+  @type metric :: %{
+          name: String.t(),
+          type: :counter | :gauge | :summary,
+          help: String.t(),
+          samples: [{labels(), number()} | {labels(), number(), :quantile | :sum | :count}]
+        }
+
+  @doc "Returns the current metrics of an application."
+  @callback collect_metrics() :: [metric()]
+
+  @doc """
+  Returns the metrics of the pipelines that run on this node, of the VM, and of all applications that add their own. An
+  application whose metrics raise is left out, with a warning in the log.
+  """
+  @spec collect() :: [metric()]
+  def collect do
+    snapshots =
+      for {_name, pid} <- Directory.list_pipelines(),
+          {:ok, snapshot} <- [Client.fetch_snapshot(pid, @timeout)],
+          do: snapshot
+
+    PipelineMetrics.build(snapshots) ++ VmMetrics.collect_metrics() ++ collect_own()
+  end
+
+  @doc """
+  Returns the unhealthy pipelines of this node with the reason. A pipeline is unhealthy if it does not respond, or if
+  `expected` names it and it is not running.
+
+      iex> Situ.Metrics.unhealthy_pipelines(["Door"])
+      [{"Door", "is not running"}]
+  """
+  @spec unhealthy_pipelines([String.t()]) :: [{name :: String.t(), reason :: String.t()}]
+  def unhealthy_pipelines(expected \\ []) do
+    found = for {name, pid} <- Directory.list_pipelines(), do: {name, describe_health(pid)}
+
+    missing =
+      for name <- expected, not List.keymember?(found, name, 0), do: {name, "is not running"}
+
+    Enum.sort(missing ++ Enum.filter(found, &elem(&1, 1)))
+  end
+
+  @doc """
+  Returns the body of a response about health, to be encoded as JSON.
+
+      iex> Situ.Metrics.health_report([])
+      %{status: "ok"}
+      iex> Situ.Metrics.health_report([{"Door", "is not running"}])
+      %{status: "unhealthy", pipelines: %{"Door" => "is not running"}}
+  """
+  @spec health_report([{String.t(), String.t()}]) :: map()
+  def health_report([]), do: %{status: "ok"}
+  def health_report(unhealthy), do: %{status: "unhealthy", pipelines: Map.new(unhealthy)}
+
+  defp describe_health(pid) do
+    case Client.fetch_snapshot(pid, @timeout) do
+      {:error, %{code: :timeout}} -> "does not respond"
+      _ -> nil
+    end
+  end
+
+  defp collect_own do
+    for {app, _, _} <- Application.loaded_applications(),
+        module <- Application.get_env(app, :metrics, []),
+        metric <- collect_safely(module),
+        do: metric
+  end
+
+  defp collect_safely(module) do
+    module.collect_metrics()
+  rescue
+    error ->
+      Logger.warning(
+        "the metrics of #{inspect(module)} are left out: #{Exception.message(error)}"
+      )
+
+      []
+  end
+
+  @doc """
+  Writes metrics in the text format of Prometheus, version 0.0.4. Metrics with the same name are joined, and one with an
+  invalid name is left out.
+
+      iex> metric = %{name: "door_open", type: :gauge, help: "Whether it is open.", samples: [{[door: "main"], 1}]}
+      iex> Situ.Metrics.to_text([metric])
+      "# HELP door_open Whether it is open.\\n# TYPE door_open gauge\\ndoor_open{door=\\"main\\"} 1\\n"
+  """
+  @spec to_text([metric()]) :: String.t()
+  def to_text(metrics), do: metrics |> TextFormat.encode() |> IO.iodata_to_binary()
+
+  @doc "Returns the content type of `to_text/1`."
+  @spec content_type() :: String.t()
+  def content_type, do: "text/plain; version=0.0.4; charset=utf-8"
+end
