@@ -325,6 +325,13 @@ defmodule Situ.Studio.Layout do
   def cell_style(%Panel{aspect: nil}), do: nil
   def cell_style(%Panel{aspect: aspect}), do: "flex-grow: #{aspect}"
 
+  @doc "Returns the CSS of the column of cells, or `nil` if the shapes of their content are unknown."
+  @spec column_style([[Panel.t(), ...], ...]) :: String.t() | nil
+  def column_style(lines) do
+    if lines |> List.flatten() |> Enum.any?(& &1.aspect),
+      do: "--side-share: #{round(100 * Rows.column_share(lines))}%"
+  end
+
   defp max_height_style([%Panel{panel: :lanes, vis: [_ | _] = vis}], lanes),
     do: "; max-height: #{count_lanes(vis, lanes) * @lane_most + 8}px"
 

@@ -40,6 +40,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Log
   doctest Situ.Studio.Visualizers.Table
   doctest Situ.Studio.Layout.Arrangement
+  doctest Situ.Studio.Layout.Rows
   doctest Situ.Studio.Layout.SignalRange
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder

@@ -5,12 +5,9 @@ defmodule Situ.Studio.Layout.Arrangement do
   alias Situ.Studio.Layout
   alias Situ.Studio.Layout.Rows
 
-  # The area of the panels in that window, the head of a cell, and the share of the width that the column has.
-  @width 1_040
-  @height 640
-  @head 26
-  @column 0.36
-  @space_column 0.5
+  @width elem(Rows.usual_size(), 0)
+  @height elem(Rows.usual_size(), 1)
+  @head elem(Rows.usual_size(), 2)
   # The rows of cells above the timelines get at least and at most this share of the height.
   @least 0.3
   @most 0.6
@@ -77,8 +74,8 @@ defmodule Situ.Studio.Layout.Arrangement do
   end
 
   defp column_benefit(cells) do
-    share = if Enum.any?(cells, &(&1.panel == :space)), do: @space_column, else: @column
-    cells |> Enum.map(&{[&1], share * @width / &1.aspect}) |> benefit_within(@height)
+    width = Rows.column_share(Enum.map(cells, &[&1])) * @width
+    cells |> Enum.map(&{[&1], width / &1.aspect}) |> benefit_within(@height)
   end
 
   # The sum of the logarithms of the cells' areas if all rows together have at most this height. A loss

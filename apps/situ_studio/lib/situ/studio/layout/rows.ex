@@ -25,6 +25,30 @@ defmodule Situ.Studio.Layout.Rows do
   @spec sum_aspects([Panel.t(), ...]) :: float()
   def sum_aspects(row), do: row |> Enum.map(&(&1.aspect || @aspect)) |> Enum.sum()
 
+  # The area of the panels in a window of 1280 x 800 pixels, and the head of a cell.
+  @width 1_040
+  @height 640
+  @head 26
+
+  @doc "Returns the usual width and height of the area of all panels, and the height of a cell's head, in pixels."
+  @spec usual_size() :: {pos_integer(), pos_integer(), pos_integer()}
+  def usual_size, do: {@width, @height, @head}
+
+  @doc """
+  Returns the width of a column of cells that fills its height with their content, as a share of the width of all
+  panels: 0.25 to 0.5.
+
+      iex> alias Situ.Studio.Layout.{Panel, Rows}
+      iex> Rows.column_share([[%Panel{id: "p1", panel: :image, aspect: 0.5}]])
+      0.3
+  """
+  @spec column_share([[Panel.t(), ...], ...]) :: float()
+  def column_share(rows) do
+    content = @height - @head * length(rows)
+    width = content / (rows |> Enum.map(&(1 / sum_aspects(&1))) |> Enum.sum())
+    (width / @width) |> max(0.25) |> min(0.5) |> Float.round(2)
+  end
+
   @doc "Inserts a new panel. Cells stay together, above the timelines."
   @spec insert([Panel.t()], Panel.t()) :: [Panel.t()]
   def insert(panels, %Panel{row: nil} = panel), do: panels ++ [panel]

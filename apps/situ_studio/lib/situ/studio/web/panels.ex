@@ -32,7 +32,8 @@ defmodule Situ.Studio.Web.Panels do
 
     ~H"""
     <div class={["stack", @side != [] && "beside", @max && "max"]} id="stack" phx-hook="Drop">
-      <div class={["side", contains_panel?(@side, @max) && "maxed"]} id="side" :if={@side != []}>
+      <div class={["side", contains_panel?(@side, @max) && "maxed"]} id="side" :if={@side != []}
+          style={Layout.column_style(@side)}>
         <.panel_row :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max}
             known={@known} />
         <div class="split" id="split-side" phx-hook="Split" data-var="--side" data-edge="right" tabindex="0"
