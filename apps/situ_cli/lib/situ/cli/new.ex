@@ -4,7 +4,7 @@ defmodule Situ.CLI.New do
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Checkout, Option, Output, Verb}
-  alias Situ.CLI.New.{Name, Template}
+  alias Situ.CLI.New.{Example, Name, Template}
   alias Situ.Error
   alias Situ.Studio.Plugins
 
@@ -18,6 +18,8 @@ defmodule Situ.CLI.New do
         Creates a Mix project in the folder PATH. It uses this Situ without compiling it again, and contains a pipeline
         that runs, a component, tests on a virtual clock, a layout for the studio and a release with a systemd unit.
 
+        --example copies one of the examples instead, and gives it the project's name: #{Enum.join(Example.list_names(), ", ")}.
+
         With --component, --task or --visualizer, adds a working example to the project in the current folder instead.
         """,
         arguments: [
@@ -29,11 +31,16 @@ defmodule Situ.CLI.New do
         ],
         options: [
           Option.new(:umbrella, :flag, "create an umbrella project with one application"),
+          Option.new(:example, :string, "copy this example", value: "NAME"),
           Option.new(:component, :string, "add a component and its test", value: "NAME"),
           Option.new(:task, :string, "add a batch task for datasets", value: "NAME"),
           Option.new(:visualizer, :string, "add a plug-in for the studio", value: "NAME")
         ],
-        examples: ["situ new lobby", "situ new --component blink-detector"],
+        examples: [
+          "situ new lobby",
+          "situ new minutes --example meeting_room",
+          "situ new --component blink-detector"
+        ],
         run: &create/2
       }
     ]
@@ -57,15 +64,20 @@ defmodule Situ.CLI.New do
       raise Error.new(:exists, "#{path} already exists", fix: "choose another folder")
     end
 
-    files =
-      if opts[:umbrella],
-        do: Template.umbrella_files(name, Checkout.folder()),
-        else: Template.project_files(name, Checkout.folder())
-
+    files = project_files(name, opts)
     Error.unwrap!(Template.write(files, path))
     for {file, _} <- files, do: Output.puts("  " <> Path.join(Path.relative_to_cwd(path), file))
     Output.puts(next_steps(path, name, opts))
     0
+  end
+
+  defp project_files(name, opts) do
+    case {opts[:example], opts[:umbrella]} do
+      {nil, true} -> Template.umbrella_files(name, Checkout.folder())
+      {nil, _} -> Template.project_files(name, Checkout.folder())
+      {_example, true} -> throw({:usage, "give either --umbrella or --example"})
+      {example, _} -> Error.unwrap!(Example.project_files(example, name, Checkout.folder()))
+    end
   end
 
   defp next_steps(path, name, opts) do

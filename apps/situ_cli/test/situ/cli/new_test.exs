@@ -34,6 +34,34 @@ defmodule Situ.CLI.NewTest do
     assert layout.name == "NightWatch"
   end
 
+  test "copies an example under another name", %{tmp_dir: folder} do
+    for example <- Situ.CLI.New.Example.list_names() do
+      path = Path.join(folder, "copy-of-#{example}")
+      assert {0, output} = create([path, "--example", example])
+      assert output =~ "Your project is ready"
+      name = "copy_of_" <> example
+      assert File.exists?(Path.join(path, "lib/#{name}.ex"))
+      module = Macro.camelize(name)
+      assert File.read!(Path.join(path, "lib/#{name}.ex")) =~ "defmodule #{module} do"
+      mix = File.read!(Path.join(path, "mix.exs"))
+      assert mix =~ "app: :#{name}," and mix =~ inspect(Situ.CLI.Checkout.folder())
+      refute mix =~ "Path.expand"
+      refute File.exists?(Path.join(path, "_build"))
+    end
+
+    bag = Path.join(folder, "copy-of-robot_log/priv/drive.bag")
+    original = Path.join(Situ.CLI.Checkout.folder(), "examples/robot_log/priv/drive.bag")
+    assert File.read!(bag) == File.read!(original)
+
+    path = Path.join(folder, "other")
+    assert fail([path, "--example", "robot_logs"]) =~ "did you mean robot_log?"
+
+    assert fail([path, "--example", "robot_log", "--umbrella"]) =~
+             "either --umbrella or --example"
+
+    refute File.exists?(path)
+  end
+
   test "writes formatted code", %{tmp_dir: folder} do
     for {argv, name} <- [{[], "lobby"}, {["--umbrella"], "house"}] do
       path = Path.join(folder, name)
