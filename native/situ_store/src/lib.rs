@@ -18,6 +18,7 @@ pub mod pyramid;
 pub mod reader;
 pub mod rename;
 pub mod repair;
+pub mod shared;
 pub mod tracks;
 pub mod transfer;
 pub mod varint;

@@ -11,6 +11,7 @@ mod parts;
 mod paths;
 mod reading;
 mod rows;
+mod sharing;
 mod terms;
 mod tracks;
 mod transferring;

@@ -149,6 +149,16 @@ fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
 /// creates no atoms.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    encode_decoded(env, bytes)
+}
+
+/// Decodes like `term_decode`, on a normal scheduler. The caller limits the size.
+#[rustler::nif]
+fn term_decode_quick<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    encode_decoded(env, bytes)
+}
+
+fn encode_decoded<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
     match decode_term(env, bytes.as_slice()).0 {
         Decoded::Plain(term) => (atoms::ok(), term).encode(env),
         Decoded::Unknown(modules, term) => (atoms::unknown(), modules, term).encode(env),
@@ -159,6 +169,16 @@ fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
 /// Checks that bytes in external format are plain data: `:ok` or `{:error, what_else}`.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_check<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    encode_check(env, bytes)
+}
+
+/// Checks like `term_check`, on a normal scheduler. The caller limits the size.
+#[rustler::nif]
+fn term_check_quick<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    encode_check(env, bytes)
+}
+
+fn encode_check<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
     match etf::check_term(bytes.as_slice()) {
         Ok(_) => atoms::ok().encode(env),
         Err(refusal) => (atoms::error(), refusal.describe()).encode(env),

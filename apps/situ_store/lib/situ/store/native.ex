@@ -16,6 +16,17 @@ defmodule Situ.Store.Native do
          do: reader_read(ref, id, ordinal, to, limit, bytes)
   end
 
+  # Below this size, calling a dirty scheduler would take longer than the work.
+  @quick_term 4_096
+
+  @doc "Decodes a term from external format; small ones on the current scheduler."
+  def decode_term(bytes) when byte_size(bytes) <= @quick_term, do: term_decode_quick(bytes)
+  def decode_term(bytes), do: term_decode(bytes)
+
+  @doc "Checks that bytes in external format are plain data; small ones on the current scheduler."
+  def check_term(bytes) when byte_size(bytes) <= @quick_term, do: term_check_quick(bytes)
+  def check_term(bytes), do: term_check(bytes)
+
   def writer_create(_path, _first_extent, _max_extent, _durability, _mode), do: missing()
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_record(_writer, _record, _now), do: missing()
@@ -47,7 +58,9 @@ defmodule Situ.Store.Native do
   def reader_summary(_reader, _stream, _from, _to, _level), do: missing()
   def reader_tracks(_reader, _stream, _from, _to, _level, _most), do: missing()
   def term_decode(_bytes), do: missing()
+  def term_decode_quick(_bytes), do: missing()
   def term_check(_bytes), do: missing()
+  def term_check_quick(_bytes), do: missing()
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
   def reader_extents(_reader), do: missing()
@@ -58,6 +71,14 @@ defmodule Situ.Store.Native do
   def file_lock(_path, _holder), do: missing()
   def file_lock_give(_lock, _pid), do: missing()
   def file_unlock(_lock), do: missing()
+  def shared_writer(_path, _limit), do: missing()
+  def shared_reader(_path, _limit), do: missing()
+  def shared_reserve(_memory, _size), do: missing()
+  def shared_write(_memory, _offset, _parts), do: missing()
+  def shared_write_quick(_memory, _offset, _parts), do: missing()
+  def shared_read(_memory, _slot, _offset, _length), do: missing()
+  def shared_copy(_memory, _offset, _length), do: missing()
+  def shared_released(_memory), do: missing()
   def rename_new(_from, _to), do: missing()
   def rename_exchange(_one, _other), do: missing()
   def csv_scan(_path, _layout, _start, _parts), do: missing()

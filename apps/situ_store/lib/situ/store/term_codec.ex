@@ -7,7 +7,7 @@ defmodule Situ.Store.TermCodec do
 
   @spec decode(binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(bytes) do
-    case Native.term_decode(bytes) do
+    case Native.decode_term(bytes) do
       {:ok, term} -> {:ok, term}
       {:unknown, modules, term} -> {:ok, resolve_structs(modules, bytes, term)}
       {:undecodable, reason} -> {:error, reason}
@@ -25,7 +25,7 @@ defmodule Situ.Store.TermCodec do
 
   # Values may be atoms of other modules of the same applications.
   defp decode_again(bytes, term) do
-    case Native.term_decode(bytes) do
+    case Native.decode_term(bytes) do
       {:ok, better} ->
         better
 
@@ -38,7 +38,7 @@ defmodule Situ.Store.TermCodec do
   end
 
   defp decode_partly(bytes) do
-    case Native.term_decode(bytes) do
+    case Native.decode_term(bytes) do
       {:ok, term} -> term
       {:unknown, _, term} -> term
     end
@@ -49,7 +49,7 @@ defmodule Situ.Store.TermCodec do
   def encode(term) do
     bytes = :erlang.term_to_binary(term)
 
-    case Native.term_check(bytes) do
+    case Native.check_term(bytes) do
       :ok -> {:ok, bytes}
       {:error, reason} -> {:error, {:not_storable, reason}}
     end
