@@ -5,7 +5,12 @@ import tempfile
 import unittest
 
 import situ
-from situ import component, shared_memory
+from situ import component, shared_memory, values
+
+try:
+    import numpy
+except ImportError:
+    numpy = None
 
 
 class Left(situ.Component):
@@ -81,6 +86,32 @@ class SharedMemoryTest(unittest.TestCase):
         slots.give_back([0])
         self.assertEqual(slots.write([memoryview(b"gh")]), (0, 0, 4096, 2))
         self.assertEqual(self.path.read_bytes()[:4], b"ghcd")
+
+    @unittest.skipUnless(numpy, "numpy is not installed")
+    def test_an_array_in_a_slot_is_returned_in_place(self):
+        self.path.write_bytes(b"")
+        part = situ.Component()
+        part._memory = slots = shared_memory.OutputSlots(self.path, 5 * 65_536)
+        array = part.empty((256, 256))
+        array[:] = 7
+        head, data = values.encode_parts(values.Tensor.from_array(array, copy=False))
+        place = slots.write([head, data])
+        self.assertEqual(place[:2], (0, 4_096 - head.nbytes))
+        self.assertEqual(self.path.read_bytes()[place[1] :][: place[3]], bytes(head) + b"\7" * 65_536)
+        with self.assertRaises(ValueError):
+            array[0] = 1
+        # The slot was read, but the array is still in use, and it can be returned once more.
+        del data
+        slots.give_back([0])
+        other = part.empty((256, 256))
+        self.assertEqual(slots.write(values.encode_parts(values.Tensor.from_array(array, copy=False)))[0], 0)
+        slots.give_back([0])
+        del array, other
+        self.assertIn(slots.write([memoryview(bytes(65_537))])[0], (0, 1))
+        # Small arrays, and large ones without room, are ordinary ones.
+        self.assertIsNone(part.empty(10).base)
+        self.assertEqual(part.empty((3, 65_536), "<f8").dtype, numpy.float64)
+        self.assertIsNone(part.empty((3, 65_536), "<f8").base)
 
     def read_journal(self):
         raw = self.path.read_bytes()

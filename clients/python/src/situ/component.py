@@ -14,6 +14,9 @@ Situ runs each component in a process of its own, and restarts it as its `on_err
 
 from typing import NamedTuple
 
+from . import shared_memory
+from .values import import_numpy
+
 
 class Envelope(NamedTuple):
     """The facts about a message: its times (nanoseconds since 1970), sequence number and input."""
@@ -34,6 +37,20 @@ class Component:
     A handler returns None, a dict with values for outputs, or a list of results. Each result is a dict, or a tuple of
     a time (nanoseconds) and a dict. Without a time, values get the time of the message.
     """
+
+    _memory = None
+
+    def empty(self, shape, dtype="uint8"):
+        """Returns a new numpy array, not initialized, like `numpy.empty`.
+
+        A large array is in the memory that is shared with Situ, so returning it takes no copy. It cannot be written to
+        afterwards.
+        """
+        numpy = import_numpy()
+        dtype = numpy.dtype(dtype)
+        size = int(numpy.prod(shape, dtype=object)) * dtype.itemsize
+        view = self._memory.lend(size) if self._memory and size >= shared_memory.LARGE else None
+        return numpy.empty(shape, dtype) if view is None else numpy.frombuffer(view, dtype).reshape(shape)
 
     def setup(self, **options):
         """Prepares the component before its first message; receives the options as keyword arguments."""

@@ -1,5 +1,6 @@
 """Memory that a component shares with Situ: files of slots, for values that are too large for the socket."""
 
+import ctypes
 import mmap
 import os
 import struct
@@ -8,6 +9,8 @@ import sys
 from .binary import Damaged
 
 PAGE = 4_096
+# Values of this size or larger go through shared memory.
+LARGE = 1 << 16
 
 
 class InputSlots:
@@ -39,48 +42,92 @@ class InputSlots:
 
 
 class OutputSlots:
-    """Slots that Python fills, and that Situ returns after reading. Slots are added up to `limit` bytes."""
+    """Slots that Python fills, and that Situ returns after reading. Slots are added up to `limit` bytes.
+
+    A slot can be lent to an array. It is in use until it was read, and nothing in Python refers to it any more. The
+    page before the array has room for the header of its value.
+    """
 
     def __init__(self, path, limit):
         self._file = os.open(path, os.O_RDWR)
         self._limit, self._size = limit, 0
         self._slots = []
         self._free = []
+        # Slots that Situ does not read, but that arrays may refer to.
+        self._lent = set()
 
     def write(self, parts):
         """Copies buffers into a slot; returns (slot, offset, capacity, length), or None if there is no room."""
         length = sum(part.nbytes for part in parts)
+        lent = self._find_lent(parts, length) if self._lent else None
+        if lent:
+            return lent
         slot = self._take_slot(length)
         if slot is None:
             return None
-        offset, capacity, memory = self._slots[slot]
-        position = 0
-        for part in parts:
-            memory[position : position + part.nbytes] = part
-            position += part.nbytes
+        offset, capacity, memory, _ = self._slots[slot]
+        _copy_parts(memory, 0, parts)
         return slot, offset, capacity, length
 
+    def lend(self, length):
+        """Returns memory of a slot for an array, as a memoryview, or None if there is no room."""
+        slot = self._take_slot(PAGE + length)
+        if slot is None:
+            return None
+        self._lent.add(slot)
+        return memoryview(self._slots[slot][2])[PAGE : PAGE + length]
+
     def give_back(self, slots):
-        """Marks slots as free."""
-        self._free.extend(slots)
+        """Marks slots as read. They are free if no array refers to them."""
+        self._lent.update(slots)
+
+    def _find_lent(self, parts, length):
+        """Writes the header before an array that is in a slot; returns the place, or None for other values."""
+        array, head = getattr(parts[-1], "obj", None), length - parts[-1].nbytes
+        if not hasattr(array, "__array_interface__") or head > PAGE:
+            return None
+        address, _read_only = array.__array_interface__["data"]
+        for slot in self._lent:
+            offset, capacity, memory, start = self._slots[slot]
+            if address == start + PAGE and parts[-1].nbytes <= capacity - PAGE:
+                _copy_parts(memory, PAGE - head, parts[:-1])
+                array.flags.writeable = False
+                self._lent.remove(slot)
+                return slot, offset + PAGE - head, capacity - PAGE + head, length
+        return None
 
     def _take_slot(self, length):
+        self._free_unused()
         for index in range(len(self._free) - 1, -1, -1):
             if self._slots[self._free[index]][1] >= length:
                 return self._free.pop(index)
         return self._add_slot(-(-length // PAGE) * PAGE)
+
+    def _free_unused(self):
+        # An array holds a reference to its map. The others are the list of slots and the argument of getrefcount.
+        unused = [slot for slot in self._lent if sys.getrefcount(self._slots[slot][2]) <= 2]
+        self._lent.difference_update(unused)
+        self._free.extend(unused)
 
     def _add_slot(self, capacity):
         if self._size + capacity > self._limit:
             return None
         try:
             _reserve(self._file, self._size, capacity)
-            memory = memoryview(mmap.mmap(self._file, capacity, offset=self._size))
+            memory = mmap.mmap(self._file, capacity, offset=self._size)
         except (OSError, ValueError):
             return None
-        self._slots.append((self._size, capacity, memory))
+        # Exporting the address must not keep a reference to the map.
+        start = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+        self._slots.append((self._size, capacity, memory, start))
         self._size += capacity
         return len(self._slots) - 1
+
+
+def _copy_parts(memory, position, parts):
+    for part in parts:
+        memory[position : position + part.nbytes] = part
+        position += part.nbytes
 
 
 def _reserve(file, offset, size):

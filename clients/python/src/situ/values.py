@@ -121,7 +121,10 @@ class Image(_Value):
         return array[:, :, 2::-1] if self.format.startswith("bgr") else array[:, :, :3]
 
     def encode(self):
-        return self.HEAD.pack(1, _IMAGE_CODES[self.format], 0, self.width, self.height, self.stride) + bytes(self.data)
+        return self._encode_head() + bytes(self.data)
+
+    def _encode_head(self):
+        return self.HEAD.pack(1, _IMAGE_CODES[self.format], 0, self.width, self.height, self.stride)
 
     @classmethod
     def decode(cls, raw):
@@ -283,15 +286,21 @@ class Tensor(_Value):
     TYPE = "Situ.Tensor"
 
     @classmethod
-    def from_array(cls, array):
-        """Builds a tensor from an array of booleans or numbers of up to 64 bits."""
+    def from_array(cls, array, copy=True):
+        """Builds a tensor from an array of booleans or numbers of up to 64 bits.
+
+        With `copy=False`, the tensor refers to the array's memory.
+        """
         np = import_numpy()
         array = np.asarray(array)
         layout = array.dtype.newbyteorder("<").str.replace("|", "")
         layout = "?" if layout == "b1" else layout
         if layout not in TENSOR_TYPES:
             raise ValueError(f"a tensor cannot contain {array.dtype}")
-        return cls(layout, array.shape, np.ascontiguousarray(array, layout).tobytes())
+        shape, array = array.shape, np.ascontiguousarray(array, layout)
+        # A memoryview of an empty array cannot be cast.
+        data = array.tobytes() if copy or array.size == 0 else memoryview(array).cast("B")
+        return cls(layout, shape, data)
 
     @property
     def array(self):
@@ -302,8 +311,11 @@ class Tensor(_Value):
         return np.frombuffer(self.data, self.dtype).reshape(self.shape)
 
     def encode(self):
+        return self._encode_head() + bytes(self.data)
+
+    def _encode_head(self):
         dims = struct.pack(f"<{len(self.shape)}I", *self.shape)
-        return bytes([TENSOR_TYPES.index(self.dtype), len(self.shape)]) + dims + bytes(self.data)
+        return bytes([TENSOR_TYPES.index(self.dtype), len(self.shape)]) + dims
 
     @classmethod
     def decode(cls, raw):
@@ -408,18 +420,17 @@ def decode_value(name, raw):
 
 
 def encode_parts(value):
-    """Returns the encoded value as memoryviews, of which the last is an image's own memory."""
-    if isinstance(value, Image):
-        head = value.HEAD.pack(1, _IMAGE_CODES[value.format], 0, value.width, value.height, value.stride)
-        return [memoryview(head), memoryview(value.data)]
+    """Returns the encoded value as memoryviews. The last one is the own memory of an image or tensor."""
+    if isinstance(value, (Image, Tensor)):
+        return [memoryview(value._encode_head()), memoryview(value.data)]
     return [memoryview(value.encode())]
 
 
-def to_writable(value):
+def to_writable(value, copy=True):
     """Converts a numpy array to a tensor and a numpy number to a Python number; returns other values unchanged."""
     if not hasattr(value, "__array__"):
         return value
-    return Tensor.from_array(value) if getattr(value, "ndim", 0) > 0 else value.item()
+    return Tensor.from_array(value, copy) if getattr(value, "ndim", 0) > 0 else value.item()
 
 
 def find_codec(value):

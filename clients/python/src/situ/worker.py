@@ -24,8 +24,6 @@ _SLOT = struct.Struct("<IQQQ")
 _LENGTH = struct.Struct("<I")
 _EMISSION = struct.Struct("<BqB")
 _RECEIVE = 1 << 18
-# Values of this size or larger go through shared memory.
-_LARGE = 1 << 16
 # Results wait for others at most this long.
 _FLUSH_NS = 1_000_000
 
@@ -95,6 +93,7 @@ class Worker:
         self._journal = shared_memory.Journal(folder / "journal")
         kind = _load_class(term["source"], term["class"])
         self._component = kind()
+        self._component._memory = self._out
         options = {str(key): value for key, value in term["options"].items()}
         try:
             self._component.setup(**options)
@@ -175,7 +174,7 @@ class Worker:
             return _EMISSION.pack(index, time, 0) + _LENGTH.pack(len(raw) + 1) + b"\0" + raw
         parts = _encode_value(value)
         length = sum(part.nbytes for part in parts)
-        if length >= _LARGE:
+        if length >= shared_memory.LARGE:
             place = self._out.write(parts)
             if place:
                 return _EMISSION.pack(index, time, 1) + _SLOT.pack(*place)
@@ -213,7 +212,7 @@ def _decode_value(raw):
 
 def _encode_value(value):
     """Encodes a value in the format `"situ"` without its time; returns memoryviews of bytes."""
-    value = values.to_writable(value)
+    value = values.to_writable(value, copy=False)
     codec = values.find_codec(value)
     if codec:
         return [memoryview(bytes([len(codec.NAME)]) + codec.NAME.encode()), *values.encode_parts(value)]

@@ -55,11 +55,19 @@ defmodule Situ.Python.Protocol do
 
   @doc "Encodes a value. Returns `:error` if it is not plain data."
   @spec encode_value(term()) :: {:ok, iodata()} | :error
-  # Plain numbers need no check. Bytes 131 and 70 begin a float in the external term format, 131 and 98 an integer.
+  # Numbers and binaries need no check. Bytes 131 and 70 begin a float in the external term format, 131 and 98 an
+  # integer, 131 and 109 a binary.
   def encode_value(value) when is_float(value), do: {:ok, <<0, 131, 70, value::float-64>>}
 
   def encode_value(value) when is_integer(value) and value in 0x100..0x7FFFFFFF,
     do: {:ok, <<0, 131, 98, value::signed-32>>}
+
+  def encode_value(value) when is_integer(value),
+    do: {:ok, [0, :erlang.term_to_binary(value)]}
+
+  # A binary needs no copy.
+  def encode_value(value) when is_binary(value),
+    do: {:ok, [<<0, 131, 109, byte_size(value)::32>>, value]}
 
   def encode_value(value), do: ValueCodec.encode(value)
 

@@ -8,7 +8,8 @@ defmodule Situ.Python.Results do
   @type t :: {:ok, [Situ.Component.action()]} | {:error, Error.t()}
 
   @doc """
-  Converts one result. `outputs` are the names and types. Also returns the slots that were read and can be used again.
+  Converts one result. `outputs` are the names and types. Also returns the slots that are free again. The others are
+  free when their values have been collected.
   """
   @spec convert_result(Protocol.result(), keyword(Type.t()), SharedMemory.t()) ::
           {t(), [non_neg_integer()]}
@@ -16,13 +17,24 @@ defmodule Situ.Python.Results do
     do: {{:error, exception_error(text, fix)}, []}
 
   def convert_result({:ok, emissions}, outputs, memory) do
-    slots = for {_output, _time, {:slot, slot}} <- emissions, do: slot.number
-    {Error.map_ok(emissions, &convert_emission(&1, outputs, memory)), slots}
+    {read, free} = emissions |> Enum.map(&read_emission(&1, memory)) |> Enum.unzip()
+    {Error.map_ok(read, &convert_emission(&1, outputs)), Enum.concat(free)}
   end
 
-  defp convert_emission({index, time, place}, outputs, memory) do
+  defp read_emission({index, time, {:bytes, bytes}}, _memory),
+    do: {{index, time, {:ok, bytes}}, []}
+
+  defp read_emission({index, time, {:slot, slot}}, memory) do
+    case SharedMemory.read_value(memory, slot) do
+      {:shared, bytes} -> {{index, time, {:ok, bytes}}, []}
+      {:copied, bytes} -> {{index, time, {:ok, bytes}}, [slot.number]}
+      {:error, why} -> {{index, time, {:error, why}}, [slot.number]}
+    end
+  end
+
+  defp convert_emission({index, time, read}, outputs) do
     with {:ok, {name, type}} <- fetch_output(outputs, index),
-         {:ok, bytes} <- read_place(place, memory),
+         {:ok, bytes} <- read,
          {:ok, value} <- Protocol.decode_value(bytes),
          {:ok, value} <- build_structs(value) do
       if Type.valid_value?(type, value),
@@ -37,9 +49,6 @@ defmodule Situ.Python.Results do
     with :error <- Enum.fetch(outputs, index),
          do: {:error, "output number #{index} does not exist"}
   end
-
-  defp read_place({:bytes, bytes}, _memory), do: {:ok, bytes}
-  defp read_place({:slot, slot}, memory), do: SharedMemory.read_value(memory, slot)
 
   # Python may leave out the fields of a struct that have defaults. The decoder does not check the others.
   defp build_structs(%module{} = struct) do

@@ -6,6 +6,7 @@ defmodule Situ.Python.SharedMemory do
   # opened the files, so nothing remains when both have ended.
   # See docs/adr/0170-python-components-run-in-workers.md.
   alias Situ.Python.Protocol
+  alias Situ.Store.SharedFile
   alias Situ.TempFolder
 
   @page 4096
@@ -27,8 +28,8 @@ defmodule Situ.Python.SharedMemory do
   ]
 
   @type t :: %__MODULE__{
-          input: :file.io_device(),
-          output: :file.io_device(),
+          input: SharedFile.writer(),
+          output: SharedFile.reader(),
           journal: :file.io_device(),
           limit: pos_integer(),
           size: non_neg_integer(),
@@ -46,23 +47,27 @@ defmodule Situ.Python.SharedMemory do
   end
 
   @doc "Creates the files in `folder`, for at most `limit` bytes in each direction. Only this process can use them."
-  @spec create_files(Path.t(), pos_integer()) :: {:ok, t()} | {:error, :file.posix()}
+  @spec create_files(Path.t(), pos_integer()) :: {:ok, t()} | {:error, term()}
   def create_files(folder, limit) do
-    with {:ok, input} <- create_file(folder, "in"),
-         {:ok, output} <- create_file(folder, "out"),
-         {:ok, journal} <- create_file(folder, "journal"),
-         :ok <- :file.pwrite(journal, @journal_bytes - 1, <<0>>),
+    with {:ok, input} <- SharedFile.create_writer(Path.join(folder, "in"), limit),
+         {:ok, output} <- SharedFile.create_reader(Path.join(folder, "out"), limit),
+         {:ok, journal} <- create_journal(folder),
          do: {:ok, %__MODULE__{input: input, output: output, journal: journal, limit: limit}}
   end
 
-  defp create_file(folder, name),
-    do: :file.open(Path.join(folder, name), [:raw, :binary, :read, :write, :exclusive])
+  defp create_journal(folder) do
+    path = Path.join(folder, "journal")
+
+    with {:ok, journal} <- :file.open(path, [:raw, :binary, :read, :write, :exclusive]),
+         :ok <- :file.pwrite(journal, @journal_bytes - 1, <<0>>),
+         do: {:ok, journal}
+  end
 
   @doc "Writes a value of `length` bytes into a slot. Returns `:full` if the memory is in use."
   @spec write_value(t(), iodata(), pos_integer()) :: {:ok, Protocol.slot(), t()} | :full
   def write_value(memory, value, length) do
     with {:ok, slot, memory} <- take_slot(memory, length),
-         :ok <- :file.pwrite(memory.input, slot.offset, value) do
+         :ok <- SharedFile.write(memory.input, slot.offset, value, length) do
       {:ok, %{slot | length: length}, memory}
     else
       _ -> :full
@@ -81,11 +86,10 @@ defmodule Situ.Python.SharedMemory do
 
   defp mark_used(memory, slot), do: %{memory | used: MapSet.put(memory.used, slot.number)}
 
-  # Writing the last byte makes the file as long as its slots, as Python checks before it maps one.
   defp add_slot(%{size: size, limit: limit}, capacity) when size + capacity > limit, do: :full
 
   defp add_slot(%{size: size} = memory, capacity) do
-    with :ok <- :file.pwrite(memory.input, size + capacity - 1, <<0>>) do
+    with :ok <- SharedFile.reserve(memory.input, size + capacity) do
       number = map_size(memory.capacities)
       slot = %{number: number, offset: size, capacity: capacity, length: capacity}
       slots = Map.put(memory.capacities, number, slot)
@@ -104,18 +108,23 @@ defmodule Situ.Python.SharedMemory do
     end
   end
 
-  @doc "Reads a value that Python has written."
-  @spec read_value(t(), Protocol.slot()) :: {:ok, binary()} | {:error, String.t()}
-  def read_value(memory, %{offset: offset, capacity: capacity, length: length})
-      when length > 0 and length <= capacity and offset + capacity <= memory.limit do
-    case :file.pread(memory.output, offset, length) do
-      {:ok, bytes} when byte_size(bytes) == length -> {:ok, bytes}
-      _ -> {:error, "the shared memory has no #{length} bytes at #{offset}"}
-    end
+  @doc """
+  Returns a value that Python has written. The slot of a `:shared` value is in use until `take_released/1` returns it.
+  That of a `:copied` value is free.
+  """
+  @spec read_value(t(), Protocol.slot()) :: {:shared | :copied, binary()} | {:error, String.t()}
+  def read_value(memory, %{offset: offset, capacity: capacity, length: length} = slot)
+      when length > 0 and length <= capacity do
+    with {:error, _reason} <- SharedFile.read(memory.output, {slot.number, offset, length}),
+         do: {:error, "the shared memory has no #{length} bytes at #{offset}"}
   end
 
   def read_value(_memory, slot),
-    do: {:error, "#{slot.length} bytes at #{slot.offset} are outside of the shared memory"}
+    do: {:error, "a slot of #{slot.capacity} bytes cannot contain #{slot.length} bytes"}
+
+  @doc "Returns the slots of shared values that were collected since the last call."
+  @spec take_released(t()) :: [non_neg_integer()]
+  def take_released(memory), do: SharedFile.take_released(memory.output)
 
   @doc "Returns the results in the journal, and the number of results before them."
   @spec read_journal(t()) :: {non_neg_integer(), binary()}
@@ -129,11 +138,9 @@ defmodule Situ.Python.SharedMemory do
     end
   end
 
-  @doc "Closes the files."
+  @doc "Closes the journal. The memory of the slots is free when no value refers to it any more."
   @spec close_files(t()) :: :ok
   def close_files(memory) do
-    _ = :file.close(memory.input)
-    _ = :file.close(memory.output)
     _ = :file.close(memory.journal)
     :ok
   end

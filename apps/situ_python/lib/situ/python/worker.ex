@@ -225,7 +225,7 @@ defmodule Situ.Python.Worker do
        when length(results) <= state.in_flight do
     {converted, slots} = convert_results(results, state)
     report(state, {:results, converted, spent_ns})
-    if slots != [], do: send_frame(state, Protocol.encode_return(slots))
+    return_slots(state, slots)
 
     state
     |> Map.update!(:in_flight, &(&1 - length(results)))
@@ -251,13 +251,18 @@ defmodule Situ.Python.Worker do
 
   defp handle_frame(_frame, state), do: fail(state, WorkerErrors.protocol_error())
 
+  defp return_slots(state, slots) do
+    free = slots ++ SharedMemory.take_released(state.memory)
+    if free != [], do: send_frame(state, Protocol.encode_return(free))
+  end
+
   defp convert_results(results, state) do
     {converted, slots} =
       results
       |> Enum.map(&Results.convert_result(&1, state.config.outputs, state.memory))
       |> Enum.unzip()
 
-    {converted, List.flatten(slots)}
+    {converted, Enum.concat(slots)}
   end
 
   # Moves waiting messages to the batch, until one needs shared memory that is in use.
@@ -356,9 +361,10 @@ defmodule Situ.Python.Worker do
   defp check_progress(state) do
     left = state.progress + state.config.timeout - System.monotonic_time(:millisecond)
 
+    # The program sends results together, so there may be some of messages before this one.
     if left > 0,
       do: continue(set_timer(state, left)),
-      else: fail(state, WorkerErrors.late_error(state.config.timeout))
+      else: fail(report_journal(state), WorkerErrors.late_error(state.config.timeout))
   end
 
   defp fail(state, error) do

@@ -37,10 +37,49 @@ defmodule Situ.Python.SharedMemoryTest do
     place = %{number: 0, offset: 0, capacity: 4_096, length: 4}
     assert {:error, _} = SharedMemory.read_value(memory, place)
     File.write!(Path.join(dir, "out"), "1234")
-    assert SharedMemory.read_value(memory, place) == {:ok, "1234"}
+    assert SharedMemory.read_value(memory, place) == {:shared, "1234"}
 
-    for change <- [%{length: 0}, %{length: 5_000}, %{offset: 1 <<< 62}, %{capacity: 1 <<< 40}],
+    for change <- [%{length: 0}, %{length: 5_000}, %{offset: 1 <<< 62}, %{offset: 1 <<< 13}],
         do: assert({:error, _} = SharedMemory.read_value(memory, Map.merge(place, change)))
+  end
+
+  # Keeps values in a process of their own, which gives them up as a whole.
+  defp keep_values(memory, places) do
+    Task.async(fn ->
+      kinds = Enum.map(places, fn place -> elem(SharedMemory.read_value(memory, place), 0) end)
+      :erlang.garbage_collect()
+      kinds
+    end)
+  end
+
+  test "shares values up to half of the memory, and copies others", %{tmp_dir: dir} do
+    {:ok, memory} = SharedMemory.create_files(dir, 16_384)
+    File.write!(Path.join(dir, "out"), :binary.copy("x", 16_384))
+    place = fn n -> %{number: n, offset: n * 4_096, capacity: 4_096, length: 4_096} end
+    held = for n <- 0..2, do: SharedMemory.read_value(memory, place.(n))
+    assert [{:shared, a}, {:shared, _}, {:copied, a}] = held
+    assert SharedMemory.take_released(memory) == []
+    assert byte_size(a) == 4_096
+  end
+
+  test "frees a slot when its value has been collected", %{tmp_dir: dir} do
+    {:ok, memory} = SharedMemory.create_files(dir, 16_384)
+    File.write!(Path.join(dir, "out"), :binary.copy("x", 16_384))
+    place = fn n -> %{number: n, offset: n * 4_096, capacity: 4_096, length: 4_096} end
+    task = keep_values(memory, [place.(1), place.(3)])
+    assert Task.await(task) == [:shared, :shared]
+    assert Enum.sort(SharedMemory.take_released(memory)) == [1, 3]
+    assert SharedMemory.take_released(memory) == []
+  end
+
+  test "keeps the values of a program that truncates its file", %{tmp_dir: dir} do
+    {:ok, memory} = SharedMemory.create_files(dir, 65_536)
+    File.write!(Path.join(dir, "out"), :binary.copy("x", 65_536))
+    place = %{number: 0, offset: 32_768, capacity: 16_384, length: 16_384}
+    {:shared, value} = SharedMemory.read_value(memory, place)
+    File.write!(Path.join(dir, "out"), "")
+    assert value == <<0::size(16_384)-unit(8)>>
+    assert {:error, _} = SharedMemory.read_value(memory, place)
   end
 
   test "returns only a complete journal", %{tmp_dir: dir} do
