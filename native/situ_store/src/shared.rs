@@ -72,7 +72,7 @@ impl SharedWriter {
     /// Copies `parts`, one after another, to the offset `at`.
     pub fn write(&self, at: u64, parts: &[&[u8]]) -> Result<()> {
         let length: u64 = parts.iter().map(|part| part.len() as u64).sum();
-        let end = at.checked_add(length).unwrap_or(u64::MAX);
+        let end = at.saturating_add(length);
         if end > self.size.load(Ordering::Acquire) {
             return Err(outside(at, length));
         }
@@ -119,7 +119,7 @@ impl SharedReader {
 
     /// Returns the bytes at a place, after checking that the file contains them.
     pub fn read(&self, at: u64, length: u64) -> Result<&[u8]> {
-        let end = at.checked_add(length).unwrap_or(u64::MAX);
+        let end = at.saturating_add(length);
         let size = self
             .file
             .metadata()

@@ -67,10 +67,16 @@ defmodule Situ.Python do
       default: [out: :any],
       doc: "Names and types of the outputs. Every value is checked."
     ],
+    batch: [
+      type: :pos_integer,
+      default: 1,
+      doc: "Largest number of messages for one call of `on_batch`. A batch never waits for more."
+    ],
     timeout: [
       type: {:or, [:pos_integer, {:in, [:infinity]}]},
       default: 30_000,
-      doc: "Longest time for one message, in ms of real time; then the process is killed."
+      doc:
+        "Longest time for one message or batch, in ms of real time; then the process is killed."
     ],
     start_timeout: [
       type: :pos_integer,

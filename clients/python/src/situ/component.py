@@ -36,6 +36,9 @@ class Component:
 
     A handler returns None, a dict with values for outputs, or a list of results. Each result is a dict, or a tuple of
     a time (nanoseconds) and a dict. Without a time, values get the time of the message.
+
+    With the option `batch: n`, the component defines `on_batch(self, values, messages)` instead. It receives up to n
+    values at once, and returns a list with one such result for each.
     """
 
     _memory = None
@@ -60,9 +63,21 @@ class Component:
     def on_close(self, time):
         """Handles the end of all inputs at `time`; returns results like a handler."""
 
+    def snapshot(self):
+        """Returns the state of the component for a checkpoint: plain data, an array, or bytes."""
+        raise NotImplementedError(f"{type(self).__name__} has no method snapshot")
 
-def find_handlers(component, inputs):
-    """Returns the handler of each input. Raises TypeError if one is missing."""
+    def restore(self, data):
+        """Restores the state that `snapshot` returned, after `setup`."""
+        raise NotImplementedError(f"{type(self).__name__} has no method restore")
+
+
+def find_handlers(component, inputs, batch=1):
+    """Returns the handler of each input; none with batches. Raises TypeError if one is missing."""
+    if batch > 1:
+        if not callable(getattr(component, "on_batch", None)):
+            raise TypeError(f"{type(component).__name__} handles no batches: define on_batch(self, values, messages)")
+        return []
     handlers = []
     for name in inputs:
         handler = getattr(component, f"on_{name}", None) or getattr(component, "on_message", None)

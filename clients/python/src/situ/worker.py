@@ -84,7 +84,7 @@ class Worker:
     def start(self, term):
         self._inputs, self._outputs = term["inputs"], {name: i for i, name in enumerate(term["outputs"])}
         self._image_outputs = {i for i, kind in enumerate(term["types"]) if kind == "Situ.Image"}
-        self._stops = term["on_error"] != "skip"
+        self._stops, self._batch = term["on_error"] != "skip", term["batch"]
         if term["memory"]:
             _limit_memory(term["memory"])
         folder = pathlib.Path(term["folder"])
@@ -100,7 +100,7 @@ class Worker:
         except Exception:
             raise StartError("python_failed", f"{kind.__name__}.setup failed", _format_exception()) from None
         try:
-            self._handlers = component.find_handlers(self._component, self._inputs)
+            self._handlers = component.find_handlers(self._component, self._inputs, self._batch)
         except TypeError as error:
             raise StartError("bad_component", str(error)) from None
         version = ".".join(str(part) for part in sys.version_info[:3])
@@ -120,12 +120,28 @@ class Worker:
             elif kind == b"C":
                 (time,) = struct.unpack_from("<q", frame, 1)
                 self._connection.write_frame(b"D", self._call(self._component.on_close, time, time))
+            elif kind == b"K":
+                self._connection.write_frame(b"K", self._take_snapshot())
+            elif kind == b"V":
+                self._connection.write_frame(b"K", self._restore(frame[1:]))
             else:
                 raise Damaged(f"unknown frame {kind!r}")
 
     def _handle_messages(self, frame):
-        position, size = 1, len(frame)
         self._started = clock.monotonic_ns()
+        messages = self._read_messages(frame)
+        results = self._handle_batches(list(messages)) if self._batch > 1 else self._handle_each(messages)
+        for result in results:
+            self._add_result(result)
+            if self._failed or clock.monotonic_ns() - self._started > _FLUSH_NS:
+                self._flush()
+            if self._failed:
+                return
+        self._flush()
+
+    def _read_messages(self, frame):
+        """Yields the number of the input, the place of the value, and the envelope of each message."""
+        position, size = 1, len(frame)
         while position < size:
             index, time, creation, sequence, shared = _MESSAGE.unpack_from(frame, position)
             position += _MESSAGE.size
@@ -137,17 +153,48 @@ class Worker:
                 position += 4
                 place = frame[position : position + length]
                 position += length
-            if self._failed:
-                continue
-            envelope = component.Envelope(time, creation, sequence, self._inputs[index])
-            self._add_result(self._call(self._handle, time, index, place, envelope))
-            if self._failed or clock.monotonic_ns() - self._started > _FLUSH_NS:
-                self._flush()
-        self._flush()
+            yield index, place, component.Envelope(time, creation, sequence, self._inputs[index])
+
+    def _handle_each(self, messages):
+        for message in messages:
+            if not self._failed:
+                yield self._call(self._handle, message[2].time, *message)
 
     def _handle(self, index, place, envelope):
-        raw = place if isinstance(place, bytes) else self._slots.view(*place)
-        return self._handlers[index](_decode_value(raw), envelope)
+        return self._handlers[index](self._read_value(place), envelope)
+
+    def _handle_batches(self, messages):
+        for start in range(0, len(messages), self._batch):
+            batch = messages[start : start + self._batch]
+            # If a batch fails, its messages are handled one by one, so that only the cause is lost.
+            yield from self._call_batch(batch) or self._handle_each_alone(batch)
+
+    def _handle_each_alone(self, batch):
+        for message in batch:
+            if not self._failed:
+                yield self._call(lambda: self._handle_batch([message])[0], message[2].time)
+
+    def _call_batch(self, batch):
+        """Returns the encoded results of a batch, or None if it fails."""
+        if len(batch) == 1:
+            return None
+        try:
+            returned = self._handle_batch(batch)
+            if self._forked:
+                os._exit(0)
+            lists = [component.list_results(result, message[2].time) for result, message in zip(returned, batch)]
+            return [self._encode_results(results) for results in lists]
+        except Exception:
+            return None
+
+    def _handle_batch(self, batch):
+        returned = self._component.on_batch([self._read_value(message[1]) for message in batch], [m[2] for m in batch])
+        if not isinstance(returned, (list, tuple)) or len(returned) != len(batch):
+            raise TypeError(f"on_batch must return a list with a result for each of the {len(batch)} values")
+        return returned
+
+    def _read_value(self, place):
+        return _decode_value(place if isinstance(place, bytes) else self._slots.view(*place))
 
     def _call(self, function, time, *arguments):
         """Calls a function of the component; returns its encoded result."""
@@ -155,13 +202,28 @@ class Worker:
             returned = function(*arguments)
             if self._forked:
                 os._exit(0)
-            results = component.list_results(returned, time)
-            emissions = [self._encode(time, name, value) for time, dict in results for name, value in dict.items()]
-            return b"".join((b"\0", struct.pack("<H", len(emissions)), *emissions))
+            return self._encode_results(component.list_results(returned, time))
         except (Exception, SystemExit, KeyboardInterrupt):
             self._failed = self._stops
-            text, fix = (part.encode(errors="replace") for part in (_format_exception(), _find_fix()))
-            return b"".join((b"\1", _LENGTH.pack(len(text)), text, _LENGTH.pack(len(fix)), fix))
+            return _encode_failure()
+
+    def _encode_results(self, results):
+        emissions = [self._encode(time, name, value) for time, dict in results for name, value in dict.items()]
+        return b"".join((b"\0", struct.pack("<H", len(emissions)), *emissions))
+
+    def _take_snapshot(self):
+        """Returns the encoded state of the component."""
+        try:
+            return b"\0" + struct.pack("<H", 1) + self._encode_emission(0, 0, self._component.snapshot())
+        except Exception:
+            return _encode_failure()
+
+    def _restore(self, raw):
+        try:
+            self._component.restore(_decode_value(raw))
+            return b"\0" + struct.pack("<H", 0)
+        except Exception:
+            return _encode_failure()
 
     def _encode(self, time, name, value):
         index = self._outputs.get(name)
@@ -169,6 +231,9 @@ class Worker:
             raise TypeError(f"there is no output {name!r}: the outputs are {', '.join(self._outputs)}")
         if index in self._image_outputs and hasattr(value, "__array__"):
             value = values.Image.from_array(value, copy=False)
+        return self._encode_emission(index, time, value)
+
+    def _encode_emission(self, index, time, value):
         if type(value) in (float, int):
             raw = terms.encode_term(value)
             return _EMISSION.pack(index, time, 0) + _LENGTH.pack(len(raw) + 1) + b"\0" + raw
@@ -199,6 +264,12 @@ class Worker:
         """Returns the encoded time since the last results, or since the frame has arrived."""
         started, self._started = self._started, clock.monotonic_ns()
         return struct.pack("<Q", self._started - started)
+
+
+def _encode_failure():
+    """Encodes the current exception."""
+    text, fix = (part.encode(errors="replace") for part in (_format_exception(), _find_fix()))
+    return b"".join((b"\1", _LENGTH.pack(len(text)), text, _LENGTH.pack(len(fix)), fix))
 
 
 def _decode_value(raw):

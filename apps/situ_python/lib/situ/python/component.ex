@@ -8,7 +8,7 @@ defmodule Situ.Python.Component do
   use Situ.Component
 
   alias Situ.Error
-  alias Situ.Python.{Program, Protocol, Window, Worker}
+  alias Situ.Python.{Program, Protocol, Requests, Window, Worker}
 
   # A restart begins with a new state, so the process keeps here which inputs are open, the last time, and the messages
   # to handle again.
@@ -29,6 +29,7 @@ defmodule Situ.Python.Component do
       start_timeout: [type: :any, required: true],
       memory: [type: :any, required: true],
       shared_memory: [type: :any, required: true],
+      batch: [type: :pos_integer, required: true],
       errors: [type: {:in, [:stop, :skip, :restart]}, required: true]
     ]
   end
@@ -47,7 +48,7 @@ defmodule Situ.Python.Component do
        process: nil,
        version: nil,
        in_flight: :queue.new(),
-       window: Window.new(),
+       window: Window.new(opts.batch),
        last_time: nil,
        held?: false
      }}
@@ -99,6 +100,7 @@ defmodule Situ.Python.Component do
         "types" => Enum.map(opts.output_types, fn {_name, type} -> inspect(type) end),
         "on_error" => to_string(opts.errors),
         "memory" => opts.memory,
+        "batch" => opts.batch,
         "shared" => opts.shared_memory
       }
     }
@@ -207,6 +209,9 @@ defmodule Situ.Python.Component do
     end
   end
 
+  def handle_info({:situ_python_restored, emitted}, _context, state),
+    do: {emitted, record_times(state, emitted)}
+
   def handle_info(_other, _context, state), do: {[], state}
 
   defp handle_event({:results, results, spent_ns}, context, state) do
@@ -247,7 +252,7 @@ defmodule Situ.Python.Component do
   end
 
   defp start_again(state, context) do
-    empty = %{state | in_flight: :queue.new(), window: Window.new()}
+    empty = %{state | in_flight: :queue.new(), window: Window.new(state.opts.batch)}
 
     with {:ok, started} <- start_worker(empty, context),
          do: {:ok, submit(started, :queue.to_list(state.in_flight))}
@@ -359,14 +364,28 @@ defmodule Situ.Python.Component do
   defp stop_worker(%{worker: nil}), do: :ok
   defp stop_worker(%{worker: worker}), do: Worker.stop(worker)
 
+  # The results of the messages before it belong to the snapshot. They are emitted afterwards.
   @impl true
   def snapshot(state) do
-    {:error,
-     Error.new(:no_snapshot, "a Python component cannot be part of a checkpoint",
-       why: "the state of #{state.opts.class} is in its worker",
-       fix: "leave it out of the parts that have checkpoints"
-     )}
+    with {:ok, bytes, events} <- Requests.call_worker(state.worker, Protocol.encode_snapshot()),
+         {:ok, emitted} <- Requests.list_emitted(events) do
+      data = Map.take(state, [:open, :last_time])
+      {:ok, Map.merge(data, %{python: bytes, emitted: emitted})}
+    else
+      {:error, error} -> {:error, Requests.no_snapshot_error(state.opts.class, error)}
+    end
   end
+
+  @impl true
+  def restore(data, fresh) do
+    with {:ok, _, _} <- Requests.call_worker(fresh.worker, Protocol.encode_restore(data.python)) do
+      send(self(), {:situ_python_restored, data.emitted})
+      {:ok, Map.merge(fresh, Map.take(data, [:open, :last_time]))}
+    end
+  end
+
+  @impl true
+  def reopen(state), do: %{state | open: state.opts.input_names}
 
   @impl true
   def describe(%{worker: nil} = state), do: "#{state.opts.class}, not running"

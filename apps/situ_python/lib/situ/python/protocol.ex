@@ -9,6 +9,8 @@ defmodule Situ.Python.Protocol do
   # | `M` messages | for each: input (8 bits), originating time, creation time, sequence id (64 bits each), place |
   # | `R` return | the numbers of output slots that have been read (32 bits each) |
   # | `C` close | the time at which the last input has closed |
+  # | `K` snapshot | |
+  # | `V` restore | the bytes of the value that a snapshot returned |
   #
   # | from Python | fields |
   # |---|---|
@@ -17,6 +19,7 @@ defmodule Situ.Python.Protocol do
   # | `T` results | the time that Python has spent on them (ns, 64 bits), and one for each message, in order |
   # | `L` return | the numbers of input slots that are no longer in use |
   # | `D` closed | the result of `on_close` |
+  # | `K` answer | the result of `K` or `V`: one emission with the state, or none |
   #
   # A place is 0, a length (32 bits) and bytes; or 1, the number of a slot (32 bits), its offset, its capacity and the
   # length of the value (64 bits each). `Situ.Store.ValueCodec` encodes the bytes.
@@ -43,6 +46,7 @@ defmodule Situ.Python.Protocol do
           | {:results, [result()], spent_ns :: non_neg_integer()}
           | {:returned, [non_neg_integer()]}
           | {:closed, result()}
+          | {:answer, result()}
 
   @doc "Encodes the first frame. Returns `:error` if an option is not plain data."
   @spec encode_start(map()) :: {:ok, iodata()} | :error
@@ -101,6 +105,12 @@ defmodule Situ.Python.Protocol do
   @spec encode_close(Situ.Time.t()) :: iodata()
   def encode_close(time), do: ["C", <<time::little-signed-64>>]
 
+  @spec encode_snapshot() :: iodata()
+  def encode_snapshot, do: "K"
+
+  @spec encode_restore(binary()) :: iodata()
+  def encode_restore(value), do: ["V", value]
+
   @doc """
   Decodes a frame from Python; returns `:error` for invalid frames.
 
@@ -120,12 +130,8 @@ defmodule Situ.Python.Protocol do
   def decode_frame(<<"O", process::little-32, version::binary>>),
     do: {:ok, {:ready, process, version}}
 
-  def decode_frame(<<"D", result::binary>>) do
-    case decode_results(result, []) do
-      {:ok, [result]} -> {:ok, {:closed, result}}
-      _ -> :error
-    end
-  end
+  def decode_frame(<<"D", result::binary>>), do: decode_single(:closed, result)
+  def decode_frame(<<"K", result::binary>>), do: decode_single(:answer, result)
 
   def decode_frame(<<"E", term::binary>>) do
     case TermCodec.decode(term) do
@@ -135,6 +141,13 @@ defmodule Situ.Python.Protocol do
   end
 
   def decode_frame(_frame), do: :error
+
+  defp decode_single(kind, bytes) do
+    case decode_results(bytes, []) do
+      {:ok, [result]} -> {:ok, {kind, result}}
+      _ -> :error
+    end
+  end
 
   defp decode_results(<<>>, results), do: {:ok, Enum.reverse(results)}
 

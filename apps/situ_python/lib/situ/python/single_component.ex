@@ -30,5 +30,9 @@ defmodule Situ.Python.SingleComponent do
   @impl true
   defdelegate snapshot(state), to: Component
   @impl true
+  defdelegate restore(data, fresh), to: Component
+  @impl true
+  defdelegate reopen(state), to: Component
+  @impl true
   defdelegate describe(state), to: Component
 end

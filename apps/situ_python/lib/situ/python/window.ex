@@ -5,16 +5,20 @@ defmodule Situ.Python.Window do
   @target_ns 5_000_000
   @most 1_000
 
-  defstruct limit: 4, count: 0, full?: false
+  defstruct limit: 4, least: 1, count: 0, full?: false
 
   @type t :: %__MODULE__{
           limit: pos_integer(),
+          least: pos_integer(),
           count: non_neg_integer(),
           full?: boolean()
         }
 
-  @spec new() :: t()
-  def new, do: %__MODULE__{}
+  @doc "Builds a window for a worker that handles batches of up to `batch` messages: one batch can wait for another."
+  @spec new(batch :: pos_integer()) :: t()
+  def new(batch \\ 1)
+  def new(1), do: %__MODULE__{}
+  def new(batch), do: %__MODULE__{limit: max(4, 2 * batch), least: 2 * batch}
 
   @doc "Counts messages that were sent."
   @spec count_sent(t(), non_neg_integer()) :: t()
@@ -43,6 +47,10 @@ defmodule Situ.Python.Window do
   def adapt(window, n, spent_ns) do
     # The limit grows by half at most, so that one short measurement does not decide.
     most = min(window.limit + div(window.limit, 2) + 1, @most)
-    note_full(%{window | limit: div(@target_ns * n, max(spent_ns, 1)) |> min(most) |> max(1)})
+
+    note_full(%{
+      window
+      | limit: div(@target_ns * n, max(spent_ns, 1)) |> min(most) |> max(window.least)
+    })
   end
 end

@@ -9,6 +9,7 @@ defmodule Situ.Python.Worker do
   #   * `{:results, results, ns}`: the results of the oldest messages, in order (`Situ.Python.Results`), and the time
   #     that Python has spent on them;
   #   * `{:closed, result}`: the result of `on_close`;
+  #   * `{:answer, ref, result}`: the answer to a request, after the results of all messages before it;
   #   * `{:ended, error}`: the program has ended, and nothing follows.
   #
   # Two frames are in flight, so the program has work while it sends results. Messages that arrive in the meantime are
@@ -53,6 +54,7 @@ defmodule Situ.Python.Worker do
     frames: :queue.new(),
     in_flight: 0,
     received: 0,
+    requests: :queue.new(),
     progress: 0
   ]
 
@@ -67,6 +69,10 @@ defmodule Situ.Python.Worker do
   @doc "Announces that all inputs have closed."
   @spec send_close(pid(), Situ.Time.t()) :: :ok
   def send_close(worker, time), do: GenServer.cast(worker, {:close, time})
+
+  @doc "Sends a request: the frame `Situ.Python.Protocol.encode_snapshot/0` or `Situ.Python.Protocol.encode_restore/1`."
+  @spec send_request(pid(), reference(), iodata()) :: :ok
+  def send_request(worker, ref, frame), do: GenServer.cast(worker, {:request, ref, frame})
 
   @doc "Ends the program. It has a second to end by itself."
   @spec stop(pid()) :: :ok
@@ -132,6 +138,16 @@ defmodule Situ.Python.Worker do
   # `on_close` follows all messages.
   def handle_cast({:close, time}, state) do
     state = %{state | waiting: :queue.in({:close, time}, state.waiting)}
+    state |> fill_batch() |> continue()
+  end
+
+  def handle_cast({:request, ref, frame}, state) do
+    state = %{
+      state
+      | waiting: :queue.in({:request, frame}, state.waiting),
+        requests: :queue.in(ref, state.requests)
+    }
+
     state |> fill_batch() |> continue()
   end
 
@@ -249,6 +265,17 @@ defmodule Situ.Python.Worker do
     continue(%{state | in_flight: 0})
   end
 
+  defp handle_frame({:answer, result}, state) do
+    case :queue.out(state.requests) do
+      {{:value, ref}, requests} ->
+        report(state, {:answer, ref, Results.read_answer(result, state.memory)})
+        continue(%{state | requests: requests, in_flight: state.in_flight - 1})
+
+      {:empty, _} ->
+        fail(state, WorkerErrors.protocol_error())
+    end
+  end
+
   defp handle_frame(_frame, state), do: fail(state, WorkerErrors.protocol_error())
 
   defp return_slots(state, slots) do
@@ -269,15 +296,17 @@ defmodule Situ.Python.Worker do
   defp fill_batch(%{phase: :running} = state) do
     case :queue.peek(state.waiting) do
       :empty -> state
-      {:value, {:close, time}} -> state |> send_batch() |> close_inputs(time)
+      {:value, {:close, time}} -> state |> send_batch() |> send_last(Protocol.encode_close(time))
+      {:value, {:request, frame}} -> state |> send_batch() |> send_last(frame)
       {:value, message} -> place_message(state, message)
     end
   end
 
   defp fill_batch(state), do: state
 
-  defp close_inputs(state, time) do
-    send_frame(state, Protocol.encode_close(time))
+  # The component waits for the answer before it sends more.
+  defp send_last(state, frame) do
+    send_frame(state, frame)
     state = %{state | waiting: :queue.drop(state.waiting), in_flight: state.in_flight + 1}
     record_progress(state)
   end

@@ -1,0 +1,63 @@
+defmodule Situ.Python.Requests do
+  @moduledoc false
+  # Requests of a component to its worker that wait for the answer: a snapshot of the state, and its restoration.
+  alias Situ.Error
+  alias Situ.Python.Worker
+
+  # A checkpoint waits for 5 s by default.
+  @timeout 5_000
+
+  @doc """
+  Sends a request and returns the answer with the events before it, in order. These events are also sent to the calling
+  process again, because it has to handle them as usual.
+  """
+  @spec call_worker(pid() | nil, iodata()) ::
+          {:ok, binary() | nil, [tuple()]} | {:error, Error.t()}
+  def call_worker(nil, _frame),
+    do: {:error, Error.new(:python_ended, "the worker is not running")}
+
+  def call_worker(worker, frame) do
+    ref = make_ref()
+    Worker.send_request(worker, ref, frame)
+    {answer, events} = await_answer(worker, ref, [])
+    for event <- events, do: send(self(), {:situ_python, worker, event})
+    with {:ok, bytes} <- answer, do: {:ok, bytes, events}
+  end
+
+  defp await_answer(worker, ref, events) do
+    receive do
+      {:situ_python, ^worker, {:answer, ^ref, answer}} ->
+        {answer, Enum.reverse(events)}
+
+      {:situ_python, ^worker, {:ended, error} = event} ->
+        {{:error, error}, Enum.reverse([event | events])}
+
+      {:situ_python, ^worker, event} ->
+        await_answer(worker, ref, [event | events])
+    after
+      @timeout -> {{:error, late_error()}, Enum.reverse(events)}
+    end
+  end
+
+  defp late_error do
+    Error.new(:timeout, "the worker did not answer within #{@timeout} ms",
+      why: "it was still handling messages"
+    )
+  end
+
+  @doc "Returns what the results among events emit, or the first error among them."
+  @spec list_emitted([tuple()]) :: {:ok, [Situ.Component.action()]} | {:error, Error.t()}
+  def list_emitted(events) do
+    results = for {:results, results, _spent} <- events, result <- results, do: result
+    with {:ok, emitted} <- Error.map_ok(results, & &1), do: {:ok, Enum.concat(emitted)}
+  end
+
+  @doc "Describes why there is no snapshot."
+  @spec no_snapshot_error(String.t(), Error.t()) :: Error.t()
+  def no_snapshot_error(class, error) do
+    Error.new(:no_snapshot, "cannot take a snapshot of #{class}: #{error.what}",
+      why: error.why,
+      fix: "define snapshot(self) and restore(self, data) in #{class}"
+    )
+  end
+end

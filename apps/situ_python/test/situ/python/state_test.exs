@@ -1,0 +1,110 @@
+defmodule Situ.Python.StateTest do
+  use ExUnit.Case, async: true
+  import Situ.PythonPrograms
+  alias Situ.Pipeline
+  alias Situ.Python.Requests
+
+  @moduletag :tmp_dir
+  @moduletag capture_log: true
+
+  @body """
+  def setup(self):
+      self.sum = 0
+
+  def on_value(self, value, message):
+      if value == 0:
+          os.kill(os.getpid(), 9)
+      self.sum += value
+      return {"out": self.sum}
+
+  def snapshot(self):
+      return {"sum": self.sum}
+
+  def restore(self, data):
+      self.sum = data["sum"]
+  """
+
+  defp build(source, n, opts) do
+    test = self()
+
+    fn p ->
+      p
+      |> Situ.from_enumerable(1..n, every: 1_000)
+      |> Situ.Python.component(source, [out: [out: :integer]] ++ opts)
+      |> Situ.each(&send(test, {:sum, &1, &2.originating_time}))
+    end
+  end
+
+  defp start(source, n, resume) do
+    replay = [interval: {0, Situ.Time.s(3_600)}, speed: :max]
+    {:ok, p} = Pipeline.start(build(source, n, []), pipeline: [replay: replay, resume: resume])
+    p
+  end
+
+  defp await_sums(n), do: for(_ <- 1..n, do: assert_receive({:sum, _, _}))
+
+  defp received_sums do
+    receive do
+      {:sum, _, _} = message -> [message | received_sums()]
+    after
+      0 -> []
+    end
+  end
+
+  test "a pipeline continues from its checkpoint with the same results", %{tmp_dir: dir} do
+    source = write_part(dir, @body)
+    p = start(source, 2_000, %{})
+    first = await_sums(300)
+    {:ok, {memories, more}} = Pipeline.checkpoint(p, &{&1, received_sums()}, timeout: 30_000)
+    {:ok, _} = Pipeline.stop(p)
+    received_sums()
+    memories = memories |> :erlang.term_to_binary() |> :erlang.binary_to_term()
+    p = start(source, 2_000, memories)
+    {:ok, _} = Pipeline.await(p, 60_000)
+    results = first ++ more ++ received_sums()
+    assert Enum.map(results, &elem(&1, 1)) == Enum.scan(1..2_000, &(&1 + &2))
+    assert results == Enum.sort_by(results, &elem(&1, 2))
+  end
+
+  test "results that wait for the component are part of its checkpoint" do
+    results = {:results, [{:ok, [{:out, 5, 1}]}, {:ok, []}, {:ok, [{:out, 6, 2}]}], 10}
+    assert {:ok, [{:out, 5, 1}, {:out, 6, 2}]} = Requests.list_emitted([results])
+    failed = {:results, [{:error, Situ.Error.new(:python_failed, "no")}], 10}
+    assert {:error, _} = Requests.list_emitted([results, failed])
+  end
+
+  test "after the worker was killed, a checkpoint contains the state of the next one", %{
+    tmp_dir: dir
+  } do
+    source = write_part(dir, @body)
+    test = self()
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p
+        |> Situ.timer(every: Situ.Time.ms(20))
+        |> Situ.scan(-1, fn _, n -> n + 1 end)
+        |> Situ.Python.component(source, on_error: :skip)
+        |> Situ.each(&send(test, {:sum, &1, 0}))
+      end)
+
+    await_sums(5)
+    {:ok, memories} = Pipeline.checkpoint(p, & &1, timeout: 30_000)
+    assert %{core: {:own, %{python: <<_, _::binary>>}}} = memories["Part"]
+    {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "a component without snapshot is named in the error", %{tmp_dir: dir} do
+    source = write_part(dir, "def on_value(self, value, message):\n    return {'out': value}")
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p |> Situ.timer(every: Situ.Time.ms(10)) |> Situ.Python.component(source)
+      end)
+
+    assert {:error, error} = Pipeline.checkpoint(p, & &1, timeout: 30_000)
+    assert error.code == :no_snapshot
+    assert error.what =~ "Part has no method snapshot"
+    {:ok, _} = Pipeline.stop(p)
+  end
+end
