@@ -57,6 +57,13 @@ defmodule Situ.Python do
       default: "python3",
       doc: "An interpreter: a name in `PATH`, a path, or the folder of a virtual environment."
     ],
+    requirements: [
+      type: {:optional, {:or, [:string, {:list, :string}]}},
+      default: nil,
+      doc:
+        "A file of requirements, or a list like `[\"scikit-learn==1.5.0\"]`. At the first start, `uv` or `pip` " <>
+          "installs them into an environment for `python`, which all later starts use."
+    ],
     options: [
       type: {:or, [:keyword, :map]},
       default: [],

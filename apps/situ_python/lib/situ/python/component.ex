@@ -8,7 +8,7 @@ defmodule Situ.Python.Component do
   use Situ.Component
 
   alias Situ.Error
-  alias Situ.Python.{Program, Protocol, Requests, Window, Worker}
+  alias Situ.Python.{Environment, Program, Protocol, Requests, Window, Worker}
 
   # A restart begins with a new state, so the process keeps here which inputs are open, the last time, and the messages
   # to handle again.
@@ -22,6 +22,7 @@ defmodule Situ.Python.Component do
       source: [type: :string, required: true],
       class: [type: :string, required: true],
       python: [type: :string, required: true],
+      requirements: [type: :any, required: true],
       options: [type: :any, required: true],
       input_names: [type: :any, required: true],
       output_types: [type: :any, required: true],
@@ -77,10 +78,20 @@ defmodule Situ.Python.Component do
 
   defp start_worker(state, context) do
     with :ok <- Program.check_source(state.opts.source),
-         {:ok, interpreter} <- Program.find_interpreter(state.opts.python),
+         {:ok, interpreter} <- find_interpreter(state.opts, context.path),
          {:ok, worker} <- Worker.start_link(worker_config(state.opts, interpreter, context)),
          {:ok, process, version} <- await_ready(worker, state.opts.start_timeout) do
       {:ok, %{state | worker: worker, process: process, version: version}}
+    end
+  end
+
+  defp find_interpreter(%{requirements: nil, python: python}, _path),
+    do: Program.find_interpreter(python)
+
+  defp find_interpreter(opts, path) do
+    with {:ok, interpreter} <- Program.find_interpreter(opts.python) do
+      config = Environment.default_config(path)
+      Environment.find_or_create(opts.requirements, interpreter, config)
     end
   end
 
