@@ -49,7 +49,7 @@ defmodule Situ.Python do
   """
   alias Situ.{Argument, Error, Options, Stream}
   alias Situ.Graph.Placement
-  alias Situ.Python.{Component, SingleComponent}
+  alias Situ.Python.{ClassList, Component, SingleComponent, Source}
 
   @schema [
     python: [
@@ -152,6 +152,43 @@ defmodule Situ.Python do
         :stream,
         ~s|Situ.Python.component(stream, "detector.py:Detector")|
       )
+
+  @source_schema Keyword.drop(@schema, [:batch])
+                 |> put_in([:timeout, :default], :infinity)
+                 |> put_in(
+                   [:timeout, :doc],
+                   "Longest time for one value, in ms of real time; then the process is killed."
+                 )
+
+  @doc """
+  Adds a source that is written in Python: a class with the method `produce`, a generator of results.
+
+      class Camera(situ.Component):
+          def produce(self):
+              while True:
+                  yield {"image": read_image()}
+
+  Results without a time have the time at which they are yielded. Python is asked for the next value when the outputs
+  have room. The end of the generator completes the source. Returns the output stream, or a map of streams.
+
+  #{Options.docs(@source_schema)}
+  """
+  @spec source(Situ.Pipeline.t(), String.t(), keyword()) ::
+          Stream.t() | %{atom() => Stream.t()}
+  def source(p, source, opts \\ []) do
+    {own, placement} = Placement.split_options!(opts, @source_schema, :component)
+    {file, class} = split_source!(source)
+    settings = [source: file, class: class, output_types: own[:out], batch: 1, errors: :stop]
+    own = Keyword.delete(own, :out) ++ settings ++ [outputs: own[:out]]
+    Situ.source(p, Source, own ++ Keyword.put_new(placement, :default_name, class))
+  end
+
+  @doc """
+  Returns the components in a Python file, as maps with their `name`, `inputs`, `outputs` and `options`. `generates` is
+  true for sources. The file is executed. `opts` are `python:` and `requirements:` as in `component/3`.
+  """
+  @spec list_classes(Path.t(), keyword()) :: {:ok, [map()]} | {:error, Error.t()}
+  defdelegate list_classes(path, opts \\ []), to: ClassList
 
   defp input_name(type) when is_atom(type) do
     case Atom.to_string(type) do

@@ -12,6 +12,7 @@
 Situ runs each component in a process of its own, and restarts it as its `on_error:` demands.
 """
 
+import inspect
 from typing import NamedTuple
 
 from . import shared_memory
@@ -39,7 +40,13 @@ class Component:
 
     With the option `batch: n`, the component defines `on_batch(self, values, messages)` instead. It receives up to n
     values at once, and returns a list with one such result for each.
+
+    A source defines `produce(self)` instead, a generator of such results. Without a time, they get the time at which
+    they are yielded.
     """
+
+    outputs = {"out": "any"}
+    """The names and types of the outputs, for `situ run`."""
 
     _memory = None
 
@@ -70,6 +77,30 @@ class Component:
     def restore(self, data):
         """Restores the state that `snapshot` returned, after `setup`."""
         raise NotImplementedError(f"{type(self).__name__} has no method restore")
+
+
+def start_generator(component):
+    """Returns the values of a source. Raises TypeError if the component is not one."""
+    if not callable(getattr(component, "produce", None)):
+        raise TypeError(f"{type(component).__name__} is not a source: define produce(self), a generator of results")
+    return iter(component.produce())
+
+
+def describe_class(kind):
+    """Describes a class of components as plain data."""
+    names = [name[3:] for name in dir(kind) if name.startswith("on_") and callable(getattr(kind, name))]
+    options = []
+    for parameter in list(inspect.signature(kind.setup).parameters.values())[1:]:
+        if parameter.kind is not parameter.VAR_KEYWORD:
+            default = None if parameter.default is parameter.empty else repr(parameter.default)
+            options.append({"name": parameter.name, "default": default})
+    return {
+        "name": kind.__name__,
+        "generates": callable(getattr(kind, "produce", None)),
+        "inputs": [name for name in names if name != "close"],
+        "outputs": [[name, str(kind.outputs[name])] for name in kind.outputs],
+        "options": options,
+    }
 
 
 def find_handlers(component, inputs, batch=1):

@@ -7,6 +7,7 @@ little-endian order. `Situ.Python.Protocol` is the counterpart and describes the
 import faulthandler
 import importlib
 import importlib.util
+import json
 import logging
 import os
 import pathlib
@@ -16,7 +17,7 @@ import sys
 import time as clock
 import traceback
 
-from . import component, shared_memory, terms, values
+from . import component, shared_memory, terms, times, values
 from .binary import Damaged, Missing
 
 _MESSAGE = struct.Struct("<BqqQB")
@@ -100,11 +101,19 @@ class Worker:
         except Exception:
             raise StartError("python_failed", f"{kind.__name__}.setup failed", _format_exception()) from None
         try:
-            self._handlers = component.find_handlers(self._component, self._inputs, self._batch)
+            if term["generates"]:
+                self._values = component.start_generator(self._component)
+                self._handlers = [self._generate]
+            else:
+                self._handlers = component.find_handlers(self._component, self._inputs, self._batch)
         except TypeError as error:
             raise StartError("bad_component", str(error)) from None
         version = ".".join(str(part) for part in sys.version_info[:3])
         self._connection.write_frame(b"O", _LENGTH.pack(os.getpid()), version.encode())
+
+    def _generate(self, _value, _envelope):
+        results = component.list_results(next(self._values), times.now())
+        return results
 
     def run(self):
         """Handles frames until the connection ends."""
@@ -203,7 +212,10 @@ class Worker:
             if self._forked:
                 os._exit(0)
             return self._encode_results(component.list_results(returned, time))
-        except (Exception, SystemExit, KeyboardInterrupt):
+        except (Exception, SystemExit, KeyboardInterrupt) as error:
+            if isinstance(error, StopIteration) and function == self._handle and self._handlers == [self._generate]:
+                self._failed = True
+                return b"\2"
             self._failed = self._stops
             return _encode_failure()
 
@@ -288,6 +300,17 @@ def _encode_value(value):
     if codec:
         return [memoryview(bytes([len(codec.NAME)]) + codec.NAME.encode()), *values.encode_parts(value)]
     return [memoryview(b"\0" + terms.encode_term(value))]
+
+
+def describe(source):
+    """Prints the components of a file as JSON."""
+    try:
+        module = _load_file(source)
+    except StartError as error:
+        raise SystemExit("\n".join(part for part in (str(error), error.term["why"], error.term["fix"]) if part))
+    kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and kind.__module__ == module.__name__]
+    described = [component.describe_class(kind) for kind in kinds if issubclass(kind, component.Component)]
+    print("\n" + json.dumps(described))
 
 
 def _load_class(source, name):

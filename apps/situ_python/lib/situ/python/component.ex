@@ -8,7 +8,7 @@ defmodule Situ.Python.Component do
   use Situ.Component
 
   alias Situ.Error
-  alias Situ.Python.{Environment, Program, Protocol, Requests, Window, Worker}
+  alias Situ.Python.{Launch, Program, Protocol, Requests, Window, Worker}
 
   # A restart begins with a new state, so the process keeps here which inputs are open, the last time, and the messages
   # to handle again.
@@ -17,23 +17,7 @@ defmodule Situ.Python.Component do
   @retry 1_000
 
   @impl true
-  def options do
-    [
-      source: [type: :string, required: true],
-      class: [type: :string, required: true],
-      python: [type: :string, required: true],
-      requirements: [type: :any, required: true],
-      options: [type: :any, required: true],
-      input_names: [type: :any, required: true],
-      output_types: [type: :any, required: true],
-      timeout: [type: :any, required: true],
-      start_timeout: [type: :any, required: true],
-      memory: [type: :any, required: true],
-      shared_memory: [type: :any, required: true],
-      batch: [type: :pos_integer, required: true],
-      errors: [type: {:in, [:stop, :skip, :restart]}, required: true]
-    ]
-  end
+  def options, do: Launch.options() ++ [input_names: [type: :any, required: true]]
 
   @impl true
   def init(opts) do
@@ -77,70 +61,9 @@ defmodule Situ.Python.Component do
   defp start_worker!(state, context), do: state |> start_worker(context) |> Error.unwrap!()
 
   defp start_worker(state, context) do
-    with :ok <- Program.check_source(state.opts.source),
-         {:ok, interpreter} <- find_interpreter(state.opts, context.path),
-         {:ok, worker} <- Worker.start_link(worker_config(state.opts, interpreter, context)),
-         {:ok, process, version} <- await_ready(worker, state.opts.start_timeout) do
-      {:ok, %{state | worker: worker, process: process, version: version}}
-    end
+    with {:ok, launched} <- Launch.start_worker(state.opts, context),
+         do: {:ok, Map.merge(state, launched)}
   end
-
-  defp find_interpreter(%{requirements: nil, python: python}, _path),
-    do: Program.find_interpreter(python)
-
-  defp find_interpreter(opts, path) do
-    with {:ok, interpreter} <- Program.find_interpreter(opts.python) do
-      config = Environment.default_config(path)
-      Environment.find_or_create(opts.requirements, interpreter, config)
-    end
-  end
-
-  defp worker_config(opts, interpreter, context) do
-    %{
-      path: context.path,
-      interpreter: interpreter,
-      outputs: opts.output_types,
-      timeout: opts.timeout,
-      shared_memory: opts.shared_memory,
-      start: %{
-        "source" => opts.source,
-        "class" => opts.class,
-        "options" => Map.new(opts.options, fn {key, value} -> {to_string(key), value} end),
-        "inputs" => Enum.map(opts.input_names, &to_string/1),
-        "outputs" => Enum.map(opts.output_types, fn {name, _type} -> to_string(name) end),
-        "types" => Enum.map(opts.output_types, fn {_name, type} -> inspect(type) end),
-        "on_error" => to_string(opts.errors),
-        "memory" => opts.memory,
-        "batch" => opts.batch,
-        "shared" => opts.shared_memory
-      }
-    }
-  end
-
-  # The pipeline starts when the component can take messages: loading a model may take long.
-  defp await_ready(worker, timeout) do
-    receive do
-      {:situ_python, ^worker, {:ready, process, version}} -> {:ok, process, version}
-      {:situ_python, ^worker, {:ended, error}} -> {:error, error}
-      {:EXIT, ^worker, reason} when reason != :normal -> {:error, crash_error(reason)}
-    after
-      timeout ->
-        Process.unlink(worker)
-        Process.exit(worker, :kill)
-        {:error, slow_start_error(timeout)}
-    end
-  end
-
-  defp slow_start_error(timeout) do
-    Error.new(:timeout, "the Python component did not start within #{timeout} ms",
-      why: "importing its modules or its setup took longer",
-      fix: "increase start_timeout:"
-    )
-  end
-
-  defp crash_error(reason),
-    do:
-      Error.new(:python_ended, "the process of the Python worker has failed", why: inspect(reason))
 
   @impl true
   def handle_message(input, message, context, state) do
@@ -206,7 +129,8 @@ defmodule Situ.Python.Component do
 
   def handle_info({:EXIT, worker, reason}, context, %{worker: worker} = state)
       when reason != :normal,
-      do: handle_info({:situ_python, worker, {:ended, crash_error(reason)}}, context, state)
+      do:
+        handle_info({:situ_python, worker, {:ended, Launch.crash_error(reason)}}, context, state)
 
   def handle_info(:situ_python_again, context, %{worker: nil, open: [_ | _]} = state) do
     case start_again(state, context) do
@@ -341,7 +265,7 @@ defmodule Situ.Python.Component do
   defp receive_event(worker) do
     receive do
       {:situ_python, ^worker, event} -> event
-      {:EXIT, ^worker, reason} when reason != :normal -> {:ended, crash_error(reason)}
+      {:EXIT, ^worker, reason} when reason != :normal -> {:ended, Launch.crash_error(reason)}
     end
   end
 
@@ -402,8 +326,7 @@ defmodule Situ.Python.Component do
   def describe(%{worker: nil} = state), do: "#{state.opts.class}, not running"
 
   def describe(state) do
-    "#{state.opts.class}, process #{state.process}, Python #{state.version}, " <>
-      "#{Program.read_memory(state.process) || "?"} MB, " <>
+    "#{state.opts.class}, #{Program.describe_process(state.process, state.version)}, " <>
       "#{:queue.len(state.in_flight)} messages in flight"
   end
 end

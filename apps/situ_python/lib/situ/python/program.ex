@@ -84,6 +84,24 @@ defmodule Situ.Python.Program do
     end
   end
 
+  @doc "Runs a function of `situ.worker` and returns what it prints."
+  @spec call_function(Path.t(), String.t(), [String.t()]) :: {:ok, binary()} | {:error, binary()}
+  def call_function(interpreter, function, args) do
+    start =
+      String.replace(
+        @start,
+        "situ.worker.main(sys.argv[1])",
+        "situ.worker.#{function}(*sys.argv[1:])"
+      )
+
+    options = [env: [{"PYTHONPATH", to_string(search_path())}], stderr_to_stdout: true]
+
+    case System.cmd(interpreter, ["-c", start | args], options) do
+      {output, 0} -> {:ok, output}
+      {output, _status} -> {:error, String.trim(output)}
+    end
+  end
+
   @doc """
   Starts the worker. The calling process receives its output as `{port, {:data, {:eol | :noeol, line}}}`, and
   `{port, {:exit_status, status}}`. It is killed when the port closes.
@@ -115,9 +133,20 @@ defmodule Situ.Python.Program do
     |> to_charlist()
   end
 
-  @doc "Returns the memory that a process uses, in MB, or nil if it is unknown."
-  @spec read_memory(non_neg_integer()) :: non_neg_integer() | nil
-  def read_memory(process) do
+  @doc """
+  Describes a worker: its process id, the version of Python, its memory, and its CPU time since the last description by
+  the calling process, in percent of one core.
+  """
+  @spec describe_process(non_neg_integer(), String.t()) :: String.t()
+  def describe_process(process, version) do
+    now = {System.monotonic_time(:millisecond), read_cpu_ms(process)}
+    before = Process.put({__MODULE__, process}, now)
+
+    "process #{process}, Python #{version}, #{read_memory(process) || "?"} MB, " <>
+      "#{cpu_share(before, now) || "?"} % CPU"
+  end
+
+  defp read_memory(process) do
     with {:ok, status} <- File.read("/proc/#{process}/status"),
          [_, kilobytes] <- Regex.run(~r/VmRSS:\s+(\d+)/, status) do
       div(String.to_integer(kilobytes), 1_000)
@@ -125,6 +154,22 @@ defmodule Situ.Python.Program do
       _ -> nil
     end
   end
+
+  # The name of a program, in parentheses, may contain spaces. Fields 14 and 15 are ticks of 10 ms.
+  defp read_cpu_ms(process) do
+    with {:ok, stat} <- File.read("/proc/#{process}/stat"),
+         fields = stat |> String.split(") ") |> List.last() |> String.split(),
+         [user, system] <- Enum.slice(fields, 11, 2) do
+      10 * (String.to_integer(user) + String.to_integer(system))
+    else
+      _ -> nil
+    end
+  end
+
+  defp cpu_share({before, cpu_before}, {now, cpu}) when cpu_before != nil and cpu != nil,
+    do: div(100 * (cpu - cpu_before), max(now - before, 1))
+
+  defp cpu_share(_none, _now), do: nil
 
   @doc """
   Describes the end of a program by its exit status, as the shell reports it.

@@ -25,7 +25,8 @@ defmodule Situ.Python.Protocol do
   # length of the value (64 bits each). `Situ.Store.ValueCodec` encodes the bytes.
   #
   # A result is 0, the number of emissions (16 bits), and for each the output (8 bits), the time (64 bits) and a place;
-  # or 1, the text of an exception and a proposal to fix it, both with a length (32 bits).
+  # or 1, the text of an exception and a proposal to fix it, both with a length (32 bits); or 2, if a generator has
+  # ended.
   #
   # Everything from Python is untrusted: it never becomes an atom or code.
   alias Situ.Store.{TermCodec, ValueCodec}
@@ -39,7 +40,7 @@ defmodule Situ.Python.Protocol do
           length: pos_integer()
         }
   @type emission :: {output :: non_neg_integer(), Situ.Time.t(), place()}
-  @type result :: {:ok, [emission()]} | {:raised, text :: binary(), fix :: binary()}
+  @type result :: {:ok, [emission()]} | :finished | {:raised, text :: binary(), fix :: binary()}
   @type frame ::
           {:ready, process :: non_neg_integer(), version :: binary()}
           | {:not_started, term :: map()}
@@ -150,6 +151,9 @@ defmodule Situ.Python.Protocol do
   end
 
   defp decode_results(<<>>, results), do: {:ok, Enum.reverse(results)}
+
+  defp decode_results(<<2, rest::binary>>, results),
+    do: decode_results(rest, [:finished | results])
 
   defp decode_results(<<0, count::little-16, rest::binary>>, results) do
     with {:ok, emissions, rest} <- decode_emissions(count, rest, []),

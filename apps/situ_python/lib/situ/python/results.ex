@@ -5,7 +5,7 @@ defmodule Situ.Python.Results do
   alias Situ.Python.{Protocol, SharedMemory}
 
   @typedoc "The result of one message: its actions, or why there are none."
-  @type t :: {:ok, [Situ.Component.action()]} | {:error, Error.t()}
+  @type t :: {:ok, [Situ.Component.action()] | :finished} | {:error, Error.t()}
 
   @doc """
   Converts one result. `outputs` are the names and types. Also returns the slots that are free again. The others are
@@ -15,6 +15,8 @@ defmodule Situ.Python.Results do
           {t(), [non_neg_integer()]}
   def convert_result({:raised, text, fix}, _outputs, _memory),
     do: {{:error, exception_error(text, fix)}, []}
+
+  def convert_result(:finished, _outputs, _memory), do: {{:ok, :finished}, []}
 
   def convert_result({:ok, emissions}, outputs, memory) do
     {read, free} = emissions |> Enum.map(&read_emission(&1, memory)) |> Enum.unzip()
