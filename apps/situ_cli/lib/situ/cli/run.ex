@@ -1,10 +1,10 @@
 defmodule Situ.CLI.Run do
   @moduledoc false
-  # `situ run`: runs the pipeline of an Elixir file or of a project.
+  # `situ run`: runs the pipeline of an Elixir file, of a project, or of a Python file.
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Desktop, Option, Output, Setting, Terminal, Verb}
-  alias Situ.CLI.Run.{Interrupt, Project, Recorder, Script, Summary, Watcher}
+  alias Situ.CLI.Run.{Interrupt, Project, PythonProgram, Recorder, Script, Summary, Watcher}
   alias Situ.{Error, Options, Pipeline, Studio}
 
   @impl true
@@ -12,22 +12,31 @@ defmodule Situ.CLI.Run do
     [
       %Verb{
         words: ["run"],
-        summary: "run the pipeline of an Elixir file or of a project",
+        summary: "run the pipeline of an Elixir file, a project or a Python file",
         about: """
         FILE contains a module with `use Situ.Pipeline`, or ends with a function: fn p -> ... end. It can also be the
         folder of a project (see `situ new`), and is the current folder by default. Ctrl-C stops the pipeline: sources
         end first, messages in flight are delivered, and recordings are closed. Press it again to end at once.
 
+        A Python file contains a class that inherits situ.Component. It is a source, or it gets the streams of --input:
+        a recording, a file of images or audio, or a camera (`situ devices`). --set passes arguments to its `setup`,
+        and --record records its inputs and outputs.
+
         A file is compiled and run without restrictions, so use only files that you trust.
         """,
         arguments: [
-          file: [kind: :file, optional: true, doc: "an Elixir file, or the folder of a project"]
+          file: [
+            kind: :file,
+            optional: true,
+            doc: "an Elixir or Python file, or the folder of a project"
+          ]
         ],
         options: verb_options(),
         examples: [
           "situ run lobby.exs",
           "situ run lobby.exs --set threshold=0.6 --record recordings/lobby --studio",
-          "situ run lobby.exs --input talk.mp4 --speed max"
+          "situ run lobby.exs --input talk.mp4 --speed max",
+          "situ run detector.py --input recordings/lobby --stream Camera --record recordings/faces"
         ],
         run: &run_file/2
       }
@@ -40,9 +49,21 @@ defmodule Situ.CLI.Run do
         value: "NAME=VALUE",
         many?: true
       ),
-      Option.new(:input, :path, "the same as --set input=PATH", value: "PATH"),
+      Option.new(:input, :path, "the same as --set input=PATH; the input of a Python file",
+        value: "PATH"
+      ),
+      Option.new(:stream, :string, "a stream of --input for a Python file",
+        value: "[INPUT=]NAME",
+        many?: true
+      ),
+      Option.new(:python, :path, "the interpreter or virtual environment of a Python file",
+        value: "PYTHON"
+      ),
+      Option.new(:requirements, :path, "make an environment with these packages", value: "FILE"),
       Option.new(:options, :flag, "list the pipeline's options, and do not run it"),
-      Option.new(:module, :string, "the pipeline's module, if there are several", value: "NAME"),
+      Option.new(:module, :string, "the pipeline's module or class, if there are several",
+        value: "NAME"
+      ),
       Option.new(:record, :path, "record the pipeline's named streams", value: "FOLDER/NAME"),
       Option.new(:all, :flag, "with --record: record all streams"),
       Option.new(:studio, :flag, "show the pipeline in the browser until Ctrl-C"),
@@ -59,16 +80,34 @@ defmodule Situ.CLI.Run do
     speed = parse_speed(opts[:speed])
     check_recording(opts[:record])
 
-    case Error.unwrap!(load_pipeline(path, opts[:module])) do
+    case Error.unwrap!(load_pipeline(path, opts)) do
+      {:python, program} -> run_program(program, path, speed, opts)
       {:value, value} -> report_value(value, path, opts)
       {:pipeline, spec} -> run_or_list(spec, path, speed, opts)
     end
   end
 
-  defp load_pipeline(path, module) do
-    if File.dir?(path),
-      do: Project.load(path, module),
-      else: Script.load(path, module)
+  defp load_pipeline(path, opts) do
+    cond do
+      File.dir?(path) -> Project.load(path, opts[:module])
+      Path.extname(path) == ".py" -> load_program(path, opts)
+      true -> Script.load(path, opts[:module])
+    end
+  end
+
+  defp load_program(path, opts) do
+    with {:ok, program} <- PythonProgram.load(path, opts), do: {:ok, {:python, program}}
+  end
+
+  defp run_program(program, path, speed, opts) do
+    if opts[:options] do
+      program |> PythonProgram.describe_options() |> Enum.each(&Output.puts/1)
+      0
+    else
+      settings = Setting.parse_settings(opts[:set])
+      build = program |> PythonProgram.build(settings, opts) |> Error.unwrap!()
+      run_pipeline(build, [], name_run(build, path, speed) ++ opts)
+    end
   end
 
   # The file has run its pipelines itself.
@@ -92,10 +131,13 @@ defmodule Situ.CLI.Run do
       list_options(spec, path)
     else
       values = Error.unwrap!(parse_options(spec, path, read_settings(opts)))
-      layouts = if(File.dir?(path), do: path, else: Path.dirname(path)) |> Path.join("layouts")
-      settings = [name: pipeline_name(spec, path), speed: speed, layouts: layouts]
-      run_pipeline(spec, values, settings ++ opts)
+      run_pipeline(spec, values, name_run(spec, path, speed) ++ opts)
     end
+  end
+
+  defp name_run(spec, path, speed) do
+    layouts = if(File.dir?(path), do: path, else: Path.dirname(path)) |> Path.join("layouts")
+    [name: pipeline_name(spec, path), speed: speed, layouts: layouts]
   end
 
   defp read_settings(opts) do

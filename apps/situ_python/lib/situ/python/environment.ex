@@ -1,8 +1,8 @@
 defmodule Situ.Python.Environment do
   @moduledoc false
-  # Virtual environments that are made from a list of packages. The name of an environment is the hash of the list and of
-  # the interpreter, so each is made once and then shared by all programs of the user. It is made under another name and
-  # renamed when it is complete.
+  # Virtual environments that are made from a list of packages. The name of an environment is the hash of the list and
+  # of the interpreter, so each is made once and then shared by all programs of the user. It is made under another name
+  # and renamed when it is complete.
   # See docs/adr/0178-environments-are-named-by-their-packages.md.
   alias Situ.Error
   alias Situ.Python.LogLines
@@ -13,7 +13,7 @@ defmodule Situ.Python.Environment do
   @line_bytes 4_096
 
   @type requirements :: Path.t() | [String.t()]
-  @typedoc "`uv` is the path of this program, or nil. `folder` contains the environments. `log` takes lines of progress."
+  @typedoc "`uv` is the path of this program, or nil. `folder` contains the environments. `log` takes lines of output."
   @type config :: %{uv: Path.t() | nil, folder: Path.t(), log: (String.t() -> any())}
 
   @doc "Returns the configuration of this machine. `path` names the component in the log."

@@ -17,7 +17,7 @@ defmodule Situ.Python.Worker do
   use GenServer, restart: :temporary
 
   alias Situ.{Error, TempFolder}
-  alias Situ.Python.{LogLines, Program, Protocol, Results, SharedMemory, WorkerErrors}
+  alias Situ.Python.{Connection, LogLines, Program, Protocol, Results, SharedMemory, WorkerErrors}
   require Logger
 
   # Values of this size or larger go through shared memory.
@@ -93,8 +93,7 @@ defmodule Situ.Python.Worker do
     with {:ok, folder} <- SharedMemory.create_folder(),
          state = %{state | folder: folder},
          {:ok, memory} <- SharedMemory.create_files(folder, state.config.shared_memory),
-         {:ok, listener} <- listen(Program.socket_path(folder)) do
-      accept_connection(listener)
+         {:ok, listener} <- Connection.listen(Program.socket_path(folder)) do
       port = Program.start_worker(state.config.interpreter, folder)
       {:noreply, %{state | memory: memory, listener: listener, port: port}}
     else
@@ -107,22 +106,6 @@ defmodule Situ.Python.Worker do
           WorkerErrors.start_error(inspect(reason))
         )
     end
-  end
-
-  defp listen(path) do
-    :gen_tcp.listen(0, [:binary, packet: 4, active: false, backlog: 1, ifaddr: {:local, path}])
-  end
-
-  # Accepting blocks, so a linked process does it.
-  defp accept_connection(listener) do
-    worker = self()
-
-    {:ok, _task} =
-      Task.start_link(fn ->
-        with {:ok, socket} <- :gen_tcp.accept(listener),
-             :ok <- :gen_tcp.controlling_process(socket, worker),
-             do: send(worker, {:accepted, socket})
-      end)
   end
 
   @impl true
@@ -162,8 +145,8 @@ defmodule Situ.Python.Worker do
 
     case Protocol.encode_start(start) do
       {:ok, frame} ->
-        :ok = :inet.setopts(socket, active: true, sndbuf: 1_048_576, recbuf: 1_048_576)
-        _ = :gen_tcp.send(socket, frame)
+        :ok = Connection.activate(socket)
+        send_frame(state, frame)
         continue(state)
 
       :error ->
@@ -345,13 +328,7 @@ defmodule Situ.Python.Worker do
     %{state | batch: [], batch_bytes: 0, frames: frames}
   end
 
-  # If the connection has ended, so has the program, and its exit status is about to arrive.
-  defp send_frame(%{socket: nil}, _frame), do: :ok
-
-  defp send_frame(%{socket: socket}, frame) do
-    _ = :gen_tcp.send(socket, frame)
-    :ok
-  end
+  defp send_frame(state, frame), do: Connection.send_frame(state.socket, frame)
 
   defp drop_handled_frames(%{received: received} = state) do
     case :queue.peek(state.frames) do
