@@ -101,10 +101,7 @@ defmodule Situ.Python.Worker do
         fail(state, error)
 
       {:error, reason} ->
-        fail(
-          state,
-          WorkerErrors.start_error(inspect(reason))
-        )
+        fail(state, WorkerErrors.start_error(inspect(reason)))
     end
   end
 

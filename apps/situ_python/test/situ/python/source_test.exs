@@ -35,15 +35,25 @@ defmodule Situ.Python.SourceTest do
     refute_receive "even", 0
   end
 
-  test "waits while its outputs have no room", %{tmp_dir: dir} do
+  test "ends with its pipeline, also while it waits for a value", %{tmp_dir: dir} do
     source =
       write_part(dir, """
       def produce(self):
-          for number in range(1_000_000):
-              yield {"out": number}
+          for number in range(3):
+              yield {"out": [os.getpid(), number]}
+          time.sleep(1_000)
       """)
 
-    assert Situ.to_list(fn p -> p |> Situ.Python.source(source) |> Situ.first(3) end) == [0, 1, 2]
+    test = self()
+
+    {:ok, p} =
+      Situ.Pipeline.start(fn p ->
+        p |> Situ.Python.source(source) |> Situ.each(&send(test, &1))
+      end)
+
+    process = for number <- 0..2, do: assert_receive([_process, ^number])
+    {:ok, _report} = Situ.Pipeline.stop(p)
+    await_end(process |> hd() |> hd())
   end
 
   test "fails with the traceback of its generator", %{tmp_dir: dir} do
