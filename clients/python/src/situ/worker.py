@@ -86,6 +86,7 @@ class Worker:
         self._inputs, self._outputs = term["inputs"], {name: i for i, name in enumerate(term["outputs"])}
         self._image_outputs = {i for i, kind in enumerate(term["types"]) if kind == "Situ.Image"}
         self._stops, self._batch = term["on_error"] != "skip", term["batch"]
+        self._generates = term["generates"]
         if term["memory"]:
             _limit_memory(term["memory"])
         folder = pathlib.Path(term["folder"])
@@ -101,7 +102,7 @@ class Worker:
         except Exception:
             raise StartError("python_failed", f"{kind.__name__}.setup failed", _format_exception()) from None
         try:
-            if term["generates"]:
+            if self._generates:
                 self._values = component.start_generator(self._component)
                 self._handlers = [self._generate]
             else:
@@ -112,8 +113,7 @@ class Worker:
         self._connection.write_frame(b"O", _LENGTH.pack(os.getpid()), version.encode())
 
     def _generate(self, _value, _envelope):
-        results = component.list_results(next(self._values), times.now())
-        return results
+        return component.list_results(next(self._values), times.now())
 
     def run(self):
         """Handles frames until the connection ends."""
@@ -142,7 +142,8 @@ class Worker:
         results = self._handle_batches(list(messages)) if self._batch > 1 else self._handle_each(messages)
         for result in results:
             self._add_result(result)
-            if self._failed or clock.monotonic_ns() - self._started > _FLUSH_NS:
+            # A generator may wait for the next value for any time.
+            if self._failed or self._generates or clock.monotonic_ns() - self._started > _FLUSH_NS:
                 self._flush()
             if self._failed:
                 return
@@ -213,7 +214,7 @@ class Worker:
                 os._exit(0)
             return self._encode_results(component.list_results(returned, time))
         except (Exception, SystemExit, KeyboardInterrupt) as error:
-            if isinstance(error, StopIteration) and function == self._handle and self._handlers == [self._generate]:
+            if isinstance(error, StopIteration) and self._generates and function == self._handle:
                 self._failed = True
                 return b"\2"
             self._failed = self._stops
