@@ -152,7 +152,8 @@ defmodule Situ.Component do
   @doc """
   Returns the state as plain data, for a checkpoint (`Situ.Pipeline.checkpoint/3`). Without this callback the state
   itself is taken, which then must not contain processes, ports or references. Called between messages; it must not
-  change anything.
+  change anything. A component that still expects messages from other processes about its inputs returns an error with
+  the code `:not_settled`, and is asked again.
   """
   @callback snapshot(state()) :: {:ok, data :: term()} | {:error, Situ.Error.t()}
 

@@ -49,7 +49,7 @@ defmodule Situ.Python do
   """
   alias Situ.{Argument, Error, Options, Stream}
   alias Situ.Graph.Placement
-  alias Situ.Python.{ClassList, Component, SingleComponent, Source}
+  alias Situ.Python.{ClassList, Component, SingleComponent, Source, Workers}
 
   @schema [
     python: [
@@ -73,6 +73,13 @@ defmodule Situ.Python do
       type: :keyword,
       default: [out: :any],
       doc: "Names and types of the outputs. Every value is checked."
+    ],
+    max: [
+      type: :pos_integer,
+      default: 1,
+      doc:
+        "Number of workers, each a separate process with its own object. They take the messages in turn, and their " <>
+          "results are emitted in the order of the messages. For components that do not depend on earlier messages."
     ],
     batch: [
       type: :pos_integer,
@@ -130,19 +137,10 @@ defmodule Situ.Python do
       errors: placement[:on_error]
     ]
 
-    ports = [
-      inputs: for({input, stream} <- streams, do: {input, stream.type}),
-      outputs: own[:out]
-    ]
-
-    own = Keyword.delete(own, :out) ++ settings
-    module = if length(streams) == 1, do: SingleComponent, else: Component
-
-    Situ.via(
-      streams,
-      module,
-      own ++ ports ++ Keyword.put_new(placement, :default_name, class)
-    )
+    placement = Keyword.put_new(placement, :default_name, class)
+    {outputs, own} = Keyword.pop(own ++ settings, :out)
+    {count, own} = Keyword.pop(own, :max)
+    add_component(streams, count, %{own: own, placement: placement, outputs: outputs})
   end
 
   def component(other, _source, _opts),
@@ -153,7 +151,29 @@ defmodule Situ.Python do
         ~s|Situ.Python.component(stream, "detector.py:Detector")|
       )
 
-  @source_schema Keyword.drop(@schema, [:batch])
+  defp add_component([{input, stream}], count, settings) when count > 1 do
+    settings = %{settings | own: settings.own ++ [grouped: true]}
+    Workers.add_workers(stream, input, Map.put(settings, :count, count))
+  end
+
+  defp add_component(streams, 1, settings) do
+    ports = [
+      inputs: for({input, stream} <- streams, do: {input, stream.type}),
+      outputs: settings.outputs
+    ]
+
+    module = if length(streams) == 1, do: SingleComponent, else: Component
+    Situ.via(streams, module, settings.own ++ [grouped: false] ++ ports ++ settings.placement)
+  end
+
+  defp add_component(_streams, count, _settings) do
+    raise Error.new(:bad_option, "max: #{count} needs a single stream",
+            why: "several workers take the messages in turn, so they would see different inputs",
+            fix: "zip or join the streams first, or leave out max:"
+          )
+  end
+
+  @source_schema Keyword.drop(@schema, [:batch, :max])
                  |> put_in([:timeout, :default], :infinity)
                  |> put_in(
                    [:timeout, :doc],

@@ -552,7 +552,7 @@ defmodule Situ.PythonTest do
       end)
 
     assert_receive 1
-    text = ~r/^Part, process \d+, Python 3\.[\d.]+, \d+ MB, \d+ messages in flight$/
+    text = ~r/^Part, process \d+, Python 3\.[\d.]+, \d+ MB, \d+ % CPU, \d+ messages in flight$/
 
     # The description arrives after the first request for it.
     assert Situ.Test.Eventually.eventually(fn ->

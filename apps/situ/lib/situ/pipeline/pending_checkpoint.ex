@@ -96,6 +96,11 @@ defmodule Situ.Pipeline.PendingCheckpoint do
         |> put_checkpoint(%{checkpoint | memories: memories, pending: pending})
         |> advance_if_ready()
 
+      # The stage has received results that it has not emitted yet. Without a mark, the checkpoint settles again.
+      {:error, %Error{code: :not_settled}} when checkpoint.step == :asking ->
+        pending = MapSet.delete(checkpoint.pending, id)
+        state |> put_checkpoint(%{checkpoint | pending: pending, mark: nil}) |> advance_if_ready()
+
       {:error, error} ->
         fail_checkpoint(state, error)
     end

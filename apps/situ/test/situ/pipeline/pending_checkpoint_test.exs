@@ -136,6 +136,52 @@ defmodule Situ.Pipeline.PendingCheckpointTest do
     end
   end
 
+  defmodule Late do
+    # Emits a result of another process later, so its first snapshots are not complete.
+    use Situ.Component, inputs: [in: :any], outputs: [out: :any]
+
+    @impl true
+    def init(_opts), do: {:ok, []}
+
+    @impl true
+    def handle_message(:in, message, _context, waiting), do: {[], waiting ++ [message]}
+
+    @impl true
+    def handle_info(:emit, _context, waiting),
+      do: {for(m <- waiting, do: {:out, m.originating_time, m.data}), []}
+
+    def handle_info(_other, _context, waiting), do: {[], waiting}
+
+    @impl true
+    def snapshot([]), do: {:ok, []}
+
+    def snapshot(_waiting) do
+      send(self(), :emit)
+      {:error, Situ.Error.new(:not_settled, "results are expected")}
+    end
+
+    @impl true
+    def restore([], []), do: {:ok, []}
+  end
+
+  test "a component that is not settled is asked again after its results" do
+    me = self()
+
+    build = fn p ->
+      p
+      |> Situ.from_enumerable(Stream.cycle([1]), every: Time.ms(1))
+      |> Situ.via(Late)
+      |> Situ.each(&send(me, {:out, &1, 0, 0}))
+    end
+
+    {:ok, p} = Pipeline.start(build, [])
+
+    # Late emits nothing before it is asked for its state.
+    counts = Stream.repeatedly(fn -> Pipeline.checkpoint(p, fn _ -> length(heard([])) end) end)
+    assert {:ok, _count} = Enum.find(counts, &(&1 != {:ok, 0}))
+    {:ok, _} = Pipeline.stop(p)
+  end
+
   test "an error names a component whose state cannot be saved" do
     build = fn p -> p |> Situ.timer(every: Time.ms(1)) |> Situ.via(Echo, name: "Echo") end
     {:ok, p} = Pipeline.start(build, [])

@@ -17,7 +17,10 @@ defmodule Situ.Python.Component do
   @retry 1_000
 
   @impl true
-  def options, do: Launch.options() ++ [input_names: [type: :any, required: true]]
+  def options do
+    Launch.options() ++
+      [input_names: [type: :any, required: true], grouped: [type: :boolean, required: true]]
+  end
 
   @impl true
   def init(opts) do
@@ -35,6 +38,7 @@ defmodule Situ.Python.Component do
        in_flight: :queue.new(),
        window: Window.new(opts.batch),
        last_time: nil,
+       lost: [],
        held?: false
      }}
   end
@@ -49,12 +53,13 @@ defmodule Situ.Python.Component do
       keep_for_restart(state)
       {[], state}
     else
-      {[], state |> start_worker!(context) |> submit(entries)}
+      lost = Enum.flat_map(state.lost, &group_results(state, {nil, &1, nil}, []))
+      {lost, %{state | lost: []} |> start_worker!(context) |> submit(entries)}
     end
   end
 
   defp keep_for_restart(state) do
-    kept = {Map.take(state, [:open, :last_time]), :queue.to_list(state.in_flight)}
+    kept = {Map.take(state, [:open, :last_time, :lost]), :queue.to_list(state.in_flight)}
     Process.put(@kept, kept)
   end
 
@@ -144,9 +149,6 @@ defmodule Situ.Python.Component do
     end
   end
 
-  def handle_info({:situ_python_restored, emitted}, _context, state),
-    do: {emitted, record_times(state, emitted)}
-
   def handle_info(_other, _context, state), do: {[], state}
 
   defp handle_event({:results, results, spent_ns}, context, state) do
@@ -155,35 +157,54 @@ defmodule Situ.Python.Component do
   end
 
   defp handle_event({:ended, error}, context, state),
-    do: {[], handle_failure(%{state | worker: nil}, error, context)}
+    do: handle_failure(%{state | worker: nil}, error, context)
 
   defp handle_event(_event, _context, state), do: {[], state}
 
   defp take_results([], actions, _context, state), do: {Enum.reverse(actions), state}
 
   defp take_results([{:ok, emitted} | rest], actions, context, state) do
-    state = state |> drop_oldest() |> record_times(emitted)
-    take_results(rest, Enum.reverse(emitted, actions), context, state)
+    grouped = group_results(state, oldest(state), emitted)
+    state = state |> drop_oldest() |> record_times(grouped)
+    take_results(rest, Enum.reverse(grouped, actions), context, state)
   end
 
   defp take_results([{:error, error} | rest], actions, context, state) do
     if state.opts.errors == :skip do
       send(self(), {:situ_python_failed, describe_error(error, oldest(state), context)})
-      take_results(rest, actions, context, drop_oldest(state))
+      lost = group_results(state, oldest(state), [])
+      take_results(rest, lost ++ actions, context, drop_oldest(state))
     else
       # After an exception, Python ignores further messages.
       stop_worker(state)
-      {Enum.reverse(actions), handle_failure(%{state | worker: nil}, error, context)}
+      {lost, state} = handle_failure(%{state | worker: nil}, error, context)
+      {Enum.reverse(actions, lost), state}
     end
   end
 
+  # One of several workers emits exactly one message for each input message, with all its results
+  # (`Situ.Python.Workers`).
+  defp group_results(%{opts: %{grouped: true}}, {_input, time, _message}, emitted),
+    do: [{:results, time, emitted}]
+
+  defp group_results(_state, _entry, emitted), do: emitted
+
   # With `:skip`, the component keeps its state and gets a new worker. With `:restart`, the runtime starts it again.
   defp handle_failure(state, error, context) do
-    error = describe_error(error, oldest(state), context)
+    entry = oldest(state)
+    send(self(), {:situ_python_failed, describe_error(error, entry, context)})
+    lost = group_results(state, entry, [])
     state = drop_oldest(state)
-    send(self(), {:situ_python_failed, error})
-    if state.opts.errors == :skip, do: send(self(), :situ_python_again)
-    state
+
+    case state.opts.errors do
+      :skip ->
+        send(self(), :situ_python_again)
+        {lost, state}
+
+      # A restart discards what is emitted now.
+      _restart_or_stop ->
+        {[], %{state | lost: state.lost ++ for({_output, time, _} <- lost, do: time)}}
+    end
   end
 
   defp start_again(state, context) do
@@ -284,14 +305,16 @@ defmodule Situ.Python.Component do
   defp close_result({:ok, emitted}, time, _context, state) do
     later = if state.last_time, do: max(time, state.last_time + 1), else: time
 
-    {for(
-       {output, at, value} <- emitted,
-       do: {output, if(at == time, do: later, else: at), value}
-     ), state}
+    last =
+      for {output, at, value} <- emitted,
+          do: {output, if(at == time, do: later, else: at), value}
+
+    grouped? = state.opts.grouped and last != []
+    {if(grouped?, do: [{:results, later, {:closing, last}}], else: last), state}
   end
 
   defp close_result({:error, error}, _time, context, state),
-    do: {[], handle_failure(%{state | in_flight: :queue.new()}, error, context)}
+    do: handle_failure(%{state | in_flight: :queue.new()}, error, context)
 
   @impl true
   def terminate(_reason, state), do: stop_worker(state)
@@ -299,24 +322,22 @@ defmodule Situ.Python.Component do
   defp stop_worker(%{worker: nil}), do: :ok
   defp stop_worker(%{worker: worker}), do: Worker.stop(worker)
 
-  # The results of the messages before it belong to the snapshot. They are emitted afterwards.
+  # Results that arrive before the answer are emitted first.
   @impl true
   def snapshot(state) do
-    with {:ok, bytes, events} <- Requests.call_worker(state.worker, Protocol.encode_snapshot()),
-         {:ok, emitted} <- Requests.list_emitted(events) do
-      data = Map.take(state, [:open, :last_time])
-      {:ok, Map.merge(data, %{python: bytes, emitted: emitted})}
-    else
+    case Requests.call_worker(state.worker, Protocol.encode_snapshot()) do
+      {:ok, bytes, []} -> {:ok, state |> Map.take([:open, :last_time]) |> Map.put(:python, bytes)}
+      {:ok, _bytes, _events} -> {:error, Requests.not_settled_error()}
       {:error, error} -> {:error, Requests.no_snapshot_error(state.opts.class, error)}
     end
   end
 
   @impl true
   def restore(data, fresh) do
-    with {:ok, _, _} <- Requests.call_worker(fresh.worker, Protocol.encode_restore(data.python)) do
-      send(self(), {:situ_python_restored, data.emitted})
-      {:ok, Map.merge(fresh, Map.take(data, [:open, :last_time]))}
-    end
+    frame = Protocol.encode_restore(data.python)
+
+    with {:ok, _answer, _events} <- Requests.call_worker(fresh.worker, frame),
+         do: {:ok, Map.merge(fresh, Map.take(data, [:open, :last_time]))}
   end
 
   @impl true

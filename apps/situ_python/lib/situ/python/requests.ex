@@ -45,12 +45,9 @@ defmodule Situ.Python.Requests do
     )
   end
 
-  @doc "Returns what the results among events emit, or the first error among them."
-  @spec list_emitted([tuple()]) :: {:ok, [Situ.Component.action()]} | {:error, Error.t()}
-  def list_emitted(events) do
-    results = for {:results, results, _spent} <- events, result <- results, do: result
-    with {:ok, emitted} <- Error.map_ok(results, & &1), do: {:ok, Enum.concat(emitted)}
-  end
+  @doc "There are results that must be emitted before a snapshot."
+  @spec not_settled_error() :: Error.t()
+  def not_settled_error, do: Error.new(:not_settled, "the worker was still handling messages")
 
   @doc "Describes why there is no snapshot."
   @spec no_snapshot_error(String.t(), Error.t()) :: Error.t()

@@ -2,7 +2,6 @@ defmodule Situ.Python.StateTest do
   use ExUnit.Case, async: true
   import Situ.PythonPrograms
   alias Situ.Pipeline
-  alias Situ.Python.Requests
 
   @moduletag :tmp_dir
   @moduletag capture_log: true
@@ -35,9 +34,9 @@ defmodule Situ.Python.StateTest do
     end
   end
 
-  defp start(source, n, resume) do
+  defp start(source, n, resume, opts) do
     replay = [interval: {0, Situ.Time.s(3_600)}, speed: :max]
-    {:ok, p} = Pipeline.start(build(source, n, []), pipeline: [replay: replay, resume: resume])
+    {:ok, p} = Pipeline.start(build(source, n, opts), pipeline: [replay: replay, resume: resume])
     p
   end
 
@@ -51,26 +50,36 @@ defmodule Situ.Python.StateTest do
     end
   end
 
+  # Returns all results of a pipeline that was stopped after a checkpoint, and of one that continues from there.
+  defp run_interrupted(source, n, opts) do
+    p = start(source, n, %{}, opts)
+    first = await_sums(100)
+
+    case Pipeline.checkpoint(p, &{&1, received_sums()}, timeout: 60_000) do
+      {:ok, {memories, more}} ->
+        {:ok, _} = Pipeline.stop(p)
+        received_sums()
+        memories = memories |> :erlang.term_to_binary() |> :erlang.binary_to_term()
+        {:ok, _} = Pipeline.await(start(source, n, memories, opts), 60_000)
+        first ++ more ++ received_sums()
+
+      # On a busy machine, the pipeline may have ended before.
+      {:error, %{code: :not_running}} ->
+        first ++ received_sums()
+    end
+  end
+
   test "a pipeline continues from its checkpoint with the same results", %{tmp_dir: dir} do
-    source = write_part(dir, @body)
-    p = start(source, 2_000, %{})
-    first = await_sums(300)
-    {:ok, {memories, more}} = Pipeline.checkpoint(p, &{&1, received_sums()}, timeout: 30_000)
-    {:ok, _} = Pipeline.stop(p)
-    received_sums()
-    memories = memories |> :erlang.term_to_binary() |> :erlang.binary_to_term()
-    p = start(source, 2_000, memories)
-    {:ok, _} = Pipeline.await(p, 60_000)
-    results = first ++ more ++ received_sums()
-    assert Enum.map(results, &elem(&1, 1)) == Enum.scan(1..2_000, &(&1 + &2))
+    results = run_interrupted(write_part(dir, @body), 20_000, [])
+    assert Enum.map(results, &elem(&1, 1)) == Enum.scan(1..20_000, &(&1 + &2))
     assert results == Enum.sort_by(results, &elem(&1, 2))
   end
 
-  test "results that wait for the component are part of its checkpoint" do
-    results = {:results, [{:ok, [{:out, 5, 1}]}, {:ok, []}, {:ok, [{:out, 6, 2}]}], 10}
-    assert {:ok, [{:out, 5, 1}, {:out, 6, 2}]} = Requests.list_emitted([results])
-    failed = {:results, [{:error, Situ.Error.new(:python_failed, "no")}], 10}
-    assert {:error, _} = Requests.list_emitted([results, failed])
+  test "a checkpoint contains the states of several workers", %{tmp_dir: dir} do
+    results = run_interrupted(write_part(dir, @body), 10_000, max: 2)
+    alone = fn first -> Enum.scan(first..10_000//2, &(&1 + &2)) end
+    expected = Enum.zip_with(alone.(1), alone.(2), &[&1, &2]) |> Enum.concat()
+    assert Enum.map(results, &elem(&1, 1)) == expected
   end
 
   test "after the worker was killed, a checkpoint contains the state of the next one", %{
