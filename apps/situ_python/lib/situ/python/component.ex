@@ -322,7 +322,7 @@ defmodule Situ.Python.Component do
   defp stop_worker(%{worker: nil}), do: :ok
   defp stop_worker(%{worker: worker}), do: Worker.stop(worker)
 
-  # Results that arrive before the answer are emitted first.
+  # Results that arrive before the reply are emitted first.
   @impl true
   def snapshot(state) do
     case Requests.call_worker(state.worker, Protocol.encode_snapshot()) do
@@ -336,7 +336,7 @@ defmodule Situ.Python.Component do
   def restore(data, fresh) do
     frame = Protocol.encode_restore(data.python)
 
-    with {:ok, _answer, _events} <- Requests.call_worker(fresh.worker, frame),
+    with {:ok, _reply, _events} <- Requests.call_worker(fresh.worker, frame),
          do: {:ok, Map.merge(fresh, Map.take(data, [:open, :last_time]))}
   end
 

@@ -19,7 +19,7 @@ defmodule Situ.Python.Protocol do
   # | `T` results | the time that Python has spent on them (ns, 64 bits), and one for each message, in order |
   # | `L` return | the numbers of input slots that are no longer in use |
   # | `D` closed | the result of `on_close` |
-  # | `K` answer | the result of `K` or `V`: one emission with the state, or none |
+  # | `K` reply | the result of `K` or `V`: one emission with the state, or none |
   #
   # A place is 0, a length (32 bits) and bytes; or 1, the number of a slot (32 bits), its offset, its capacity and the
   # length of the value (64 bits each). `Situ.Store.ValueCodec` encodes the bytes.
@@ -47,7 +47,7 @@ defmodule Situ.Python.Protocol do
           | {:results, [result()], spent_ns :: non_neg_integer()}
           | {:returned, [non_neg_integer()]}
           | {:closed, result()}
-          | {:answer, result()}
+          | {:reply, result()}
 
   @doc "Encodes the first frame. Returns `:error` if an option is not plain data."
   @spec encode_start(map()) :: {:ok, iodata()} | :error
@@ -132,7 +132,7 @@ defmodule Situ.Python.Protocol do
     do: {:ok, {:ready, process, version}}
 
   def decode_frame(<<"D", result::binary>>), do: decode_single(:closed, result)
-  def decode_frame(<<"K", result::binary>>), do: decode_single(:answer, result)
+  def decode_frame(<<"K", result::binary>>), do: decode_single(:reply, result)
 
   def decode_frame(<<"E", term::binary>>) do
     case TermCodec.decode(term) do

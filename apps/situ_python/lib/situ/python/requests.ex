@@ -1,6 +1,6 @@
 defmodule Situ.Python.Requests do
   @moduledoc false
-  # Requests of a component to its worker that wait for the answer: a snapshot of the state, and its restoration.
+  # Requests of a component to its worker that wait for the reply: a snapshot of the state, and its restoration.
   alias Situ.Error
   alias Situ.Python.Worker
 
@@ -8,7 +8,7 @@ defmodule Situ.Python.Requests do
   @timeout 5_000
 
   @doc """
-  Sends a request and returns the answer with the events before it, in order. These events are also sent to the calling
+  Sends a request and returns the reply with the events before it, in order. These events are also sent to the calling
   process again, because it has to handle them as usual.
   """
   @spec call_worker(pid() | nil, iodata()) ::
@@ -19,28 +19,28 @@ defmodule Situ.Python.Requests do
   def call_worker(worker, frame) do
     ref = make_ref()
     Worker.send_request(worker, ref, frame)
-    {answer, events} = await_answer(worker, ref, [])
+    {reply, events} = await_reply(worker, ref, [])
     for event <- events, do: send(self(), {:situ_python, worker, event})
-    with {:ok, bytes} <- answer, do: {:ok, bytes, events}
+    with {:ok, bytes} <- reply, do: {:ok, bytes, events}
   end
 
-  defp await_answer(worker, ref, events) do
+  defp await_reply(worker, ref, events) do
     receive do
-      {:situ_python, ^worker, {:answer, ^ref, answer}} ->
-        {answer, Enum.reverse(events)}
+      {:situ_python, ^worker, {:reply, ^ref, reply}} ->
+        {reply, Enum.reverse(events)}
 
       {:situ_python, ^worker, {:ended, error} = event} ->
         {{:error, error}, Enum.reverse([event | events])}
 
       {:situ_python, ^worker, event} ->
-        await_answer(worker, ref, [event | events])
+        await_reply(worker, ref, [event | events])
     after
       @timeout -> {{:error, late_error()}, Enum.reverse(events)}
     end
   end
 
   defp late_error do
-    Error.new(:timeout, "the worker did not answer within #{@timeout} ms",
+    Error.new(:timeout, "the worker did not reply within #{@timeout} ms",
       why: "it was still handling messages"
     )
   end

@@ -23,13 +23,13 @@ defmodule Situ.Python.Results do
     {Error.map_ok(read, &convert_emission(&1, outputs)), Enum.concat(free)}
   end
 
-  @doc "Returns the bytes of the only emission of an answer, or nil if it has none."
-  @spec read_answer(Protocol.result(), SharedMemory.t()) ::
+  @doc "Returns the bytes of the only emission of a reply, or nil if it has none."
+  @spec read_reply(Protocol.result(), SharedMemory.t()) ::
           {:ok, binary() | nil} | {:error, Error.t()}
-  def read_answer({:raised, text, fix}, _memory), do: {:error, exception_error(text, fix)}
-  def read_answer({:ok, []}, _memory), do: {:ok, nil}
+  def read_reply({:raised, text, fix}, _memory), do: {:error, exception_error(text, fix)}
+  def read_reply({:ok, []}, _memory), do: {:ok, nil}
 
-  def read_answer({:ok, [emission | _]}, memory) do
+  def read_reply({:ok, [emission | _]}, memory) do
     case read_emission(emission, memory) do
       # Checkpoints are kept for long, so they must not use the shared memory.
       {{_index, _time, {:ok, bytes}}, _free} -> {:ok, :binary.copy(bytes)}

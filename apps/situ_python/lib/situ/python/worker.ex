@@ -9,7 +9,7 @@ defmodule Situ.Python.Worker do
   #   * `{:results, results, ns}`: the results of the oldest messages, in order (`Situ.Python.Results`), and the time
   #     that Python has spent on them;
   #   * `{:closed, result}`: the result of `on_close`;
-  #   * `{:answer, ref, result}`: the answer to a request, after the results of all messages before it;
+  #   * `{:reply, ref, result}`: the reply to a request, after the results of all messages before it;
   #   * `{:ended, error}`: the program has ended, and nothing follows.
   #
   # Two frames are in flight, so the program has work while it sends results. Messages that arrive in the meantime are
@@ -245,10 +245,10 @@ defmodule Situ.Python.Worker do
     continue(%{state | in_flight: 0})
   end
 
-  defp handle_frame({:answer, result}, state) do
+  defp handle_frame({:reply, result}, state) do
     case :queue.out(state.requests) do
       {{:value, ref}, requests} ->
-        report(state, {:answer, ref, Results.read_answer(result, state.memory)})
+        report(state, {:reply, ref, Results.read_reply(result, state.memory)})
         continue(%{state | requests: requests, in_flight: state.in_flight - 1})
 
       {:empty, _} ->
@@ -284,7 +284,7 @@ defmodule Situ.Python.Worker do
 
   defp fill_batch(state), do: state
 
-  # The component waits for the answer before it sends more.
+  # The component waits for the reply before it sends more.
   defp send_last(state, frame) do
     send_frame(state, frame)
     state = %{state | waiting: :queue.drop(state.waiting), in_flight: state.in_flight + 1}
