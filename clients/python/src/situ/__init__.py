@@ -18,6 +18,7 @@ Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
 from .binary import Damaged, Missing
 from .component import Component
 from .dataset import Dataset, Partition, Session
+from .frames import Frame
 from .network import publish, pull, push, subscribe
 from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, open
 from .segments import SegmentedStore
@@ -37,6 +38,7 @@ __all__ = [
     "Dataset",
     "DepthImage",
     "EncodedImage",
+    "Frame",
     "Image",
     "Message",
     "Missing",

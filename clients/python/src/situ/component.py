@@ -12,8 +12,11 @@
 Situ runs each component in a process of its own, and restarts it as its `on_error:` demands.
 """
 
+from __future__ import annotations
+
 import inspect
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, Optional, Union
 
 from . import shared_memory
 from .values import import_numpy
@@ -45,12 +48,12 @@ class Component:
     they are yielded.
     """
 
-    outputs = {"out": "any"}
+    outputs: dict[str, str] = {"out": "any"}
     """The names and types of the outputs, for `situ run`."""
 
-    _memory = None
+    _memory: Optional[shared_memory.OutputSlots] = None
 
-    def empty(self, shape, dtype="uint8"):
+    def empty(self, shape: Union[int, tuple[int, ...]], dtype: Any = "uint8") -> Any:
         """Returns a new numpy array, not initialized, like `numpy.empty`.
 
         A large array is in the memory that is shared with Situ, so returning it takes no copy. It cannot be written to
@@ -62,36 +65,39 @@ class Component:
         view = self._memory.lend(size) if self._memory and size >= shared_memory.LARGE else None
         return numpy.empty(shape, dtype) if view is None else numpy.frombuffer(view, dtype).reshape(shape)
 
-    def setup(self, **options):
-        """Prepares the component before its first message; receives the options as keyword arguments."""
+    def setup(self, *positional: Any, **options: Any) -> None:
+        """Prepares the component before its first message; receives the options as keyword arguments.
+
+        The parameters of this method have no meaning: they allow type checkers to accept those of yours.
+        """
         if options:
             raise TypeError(f"{type(self).__name__} has no method setup, so it takes no options: {sorted(options)}")
 
-    def on_close(self, time):
+    def on_close(self, time: int) -> Any:
         """Handles the end of all inputs at `time`; returns results like a handler."""
 
-    def snapshot(self):
+    def snapshot(self) -> Any:
         """Returns the state of the component for a checkpoint: plain data, an array, or bytes."""
         raise NotImplementedError(f"{type(self).__name__} has no method snapshot")
 
-    def restore(self, data):
+    def restore(self, data: Any) -> None:
         """Restores the state that `snapshot` returned, after `setup`."""
         raise NotImplementedError(f"{type(self).__name__} has no method restore")
 
 
-def start_generator(component):
+def start_generator(component: Any) -> Iterator[Any]:
     """Returns the values of a source. Raises TypeError if the component is not one."""
     if not callable(getattr(component, "produce", None)):
         raise TypeError(f"{type(component).__name__} is not a source: define produce(self), a generator of results")
     return iter(component.produce())
 
 
-def describe_class(kind):
+def describe_class(kind: type[Component]) -> dict[str, Any]:
     """Describes a class of components as plain data."""
     names = [name[3:] for name in dir(kind) if name.startswith("on_") and callable(getattr(kind, name))]
     options = []
     for parameter in list(inspect.signature(kind.setup).parameters.values())[1:]:
-        if parameter.kind is not parameter.VAR_KEYWORD:
+        if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             default = None if parameter.default is parameter.empty else repr(parameter.default)
             options.append({"name": parameter.name, "default": default})
     return {
@@ -103,7 +109,7 @@ def describe_class(kind):
     }
 
 
-def find_handlers(component, inputs, batch=1):
+def find_handlers(component: Component, inputs: list[str], batch: int = 1) -> list[Callable[..., Any]]:
     """Returns the handler of each input; none with batches. Raises TypeError if one is missing."""
     if batch > 1:
         if not callable(getattr(component, "on_batch", None)):
@@ -123,7 +129,7 @@ def find_handlers(component, inputs, batch=1):
     return handlers
 
 
-def list_results(returned, time):
+def list_results(returned: Any, time: int) -> list[tuple[int, dict[str, Any]]]:
     """Converts the return value of a handler to a list of (time, dict). Raises TypeError."""
     if returned is None:
         return []
@@ -135,7 +141,7 @@ def list_results(returned, time):
     return [_check_result(result, time) for result in returned]
 
 
-def _check_result(result, time):
+def _check_result(result: Any, time: int) -> tuple[int, dict[str, Any]]:
     if isinstance(result, dict):
         return time, result
     if isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], dict):
@@ -146,6 +152,6 @@ def _check_result(result, time):
     raise TypeError(f"{what}: each result is a dict, or a tuple of a time (int) and a dict")
 
 
-def _describe(value):
+def _describe(value: Any) -> str:
     text = repr(value)
     return f"a {type(value).__name__}, {text if len(text) <= 60 else text[:57] + '...'}"

@@ -11,6 +11,7 @@ from typing import Any
 
 from . import columns, terms, values
 from .binary import Damaged
+from .frames import FrameReader
 from .layout import BINARIES, BOOLEANS, CODEC, FLOATS, INTS, TERMS, StoreFiles
 
 
@@ -56,7 +57,7 @@ def open(path):
     return segments.open_path(os.fspath(path))
 
 
-class Store:
+class Store(FrameReader):
     """A recording. It can be read while it is being written; `refresh` reads new entries.
 
     Damaged parts are skipped if the rest is readable without them, and are listed in `damage`.

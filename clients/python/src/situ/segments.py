@@ -7,6 +7,7 @@ import warnings
 
 from . import values
 from .binary import Damaged
+from .frames import FrameReader
 from .reader import AbandonedWarning, DeletedWarning, Store
 
 
@@ -21,7 +22,7 @@ class _Part:
     until: int = None
 
 
-class SegmentedStore:
+class SegmentedStore(FrameReader):
     """A recording in segments, over all runs of its recorder. It has the methods of `Store`.
 
     Messages of a stream are in order of time. If a later run has recorded the same times again, or the clock was set

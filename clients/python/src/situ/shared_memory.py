@@ -5,6 +5,7 @@ import mmap
 import os
 import struct
 import sys
+from typing import Optional
 
 from .binary import Damaged
 
@@ -69,7 +70,7 @@ class OutputSlots:
         _copy_parts(memory, 0, parts)
         return slot, offset, capacity, length
 
-    def lend(self, length):
+    def lend(self, length: int) -> Optional[memoryview]:
         """Returns memory of a slot for an array, as a memoryview, or None if there is no room."""
         slot = self._take_slot(PAGE + length)
         if slot is None:

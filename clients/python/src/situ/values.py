@@ -2,11 +2,12 @@
 
 import dataclasses
 import struct
+from typing import Any
 
 from .binary import Damaged, Missing
 
 
-def import_numpy():
+def import_numpy() -> Any:
     """Returns the module numpy. Raises `Missing` if it is not installed."""
     try:
         import numpy
