@@ -194,7 +194,7 @@ class Worker:
                 os._exit(0)
             lists = [component.list_results(result, message[2].time) for result, message in zip(returned, batch)]
             return [self._encode_results(results) for results in lists]
-        except Exception:
+        except (Exception, SystemExit, KeyboardInterrupt):
             return None
 
     def _handle_batch(self, batch):

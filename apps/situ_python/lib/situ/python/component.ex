@@ -336,12 +336,12 @@ defmodule Situ.Python.Component do
   def restore(data, fresh) do
     frame = Protocol.encode_restore(data.python)
 
-    with {:ok, _reply, _events} <- Requests.call_worker(fresh.worker, frame),
-         do: {:ok, Map.merge(fresh, Map.take(data, [:open, :last_time]))}
-  end
+    # After a stop, all inputs had closed, and all of them are open again.
+    open = if data.open == [], do: fresh.open, else: data.open
 
-  @impl true
-  def reopen(state), do: %{state | open: state.opts.input_names}
+    with {:ok, _reply, _events} <- Requests.call_worker(fresh.worker, frame),
+         do: {:ok, %{fresh | open: open, last_time: data.last_time}}
+  end
 
   @impl true
   def describe(%{worker: nil} = state), do: "#{state.opts.class}, not running"

@@ -32,7 +32,5 @@ defmodule Situ.Python.SingleComponent do
   @impl true
   defdelegate restore(data, fresh), to: Component
   @impl true
-  defdelegate reopen(state), to: Component
-  @impl true
   defdelegate describe(state), to: Component
 end

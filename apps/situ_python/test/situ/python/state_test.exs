@@ -103,6 +103,32 @@ defmodule Situ.Python.StateTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
+  test "a part that is stopped and started again keeps its state", %{tmp_dir: dir} do
+    source = write_part(dir, @body)
+    test = self()
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        ticks = p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.map(fn _ -> 1 end)
+
+        Situ.composite(ticks, "Side", fn ticks ->
+          sums = Situ.Python.component(ticks, source, name: "Sum", out: [out: :integer])
+          Situ.each(sums, &send(test, {:sum, &1, 0}))
+        end)
+
+        Situ.each(ticks, & &1)
+      end)
+
+    await_sums(5)
+    :ok = Pipeline.stop_part(p, "Side", checkpoint: true)
+    {:sum, last, 0} = List.last([{:sum, 5, 0} | received_sums()])
+    :ok = Pipeline.start_part(p, "Side", from: :checkpoint)
+    next = last + 1
+    assert_receive {:sum, ^next, 0}
+    assert_receive {:sum, _, 0}
+    {:ok, _} = Pipeline.stop(p)
+  end
+
   test "a component without snapshot is named in the error", %{tmp_dir: dir} do
     source = write_part(dir, "def on_value(self, value, message):\n    return {'out': value}")
 
