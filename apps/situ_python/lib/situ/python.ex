@@ -34,6 +34,9 @@ defmodule Situ.Python do
 
   A handler returns a dict of outputs, `None`, or a list of dicts. Results have the time of the message and are emitted
   in the order of the messages. A tuple `(time, dict)` in the list has its own time.
+  `batch:` hands several values to one call (`on_batch`), and `max:` starts several workers for one stream. The methods
+  `snapshot` and `restore` make the state part of checkpoints. `source/3` adds a source that is a generator.
+
   The guide `docs/guides/python-components.md` describes the values.
 
   ## Errors
