@@ -1,10 +1,14 @@
 """Reads and writes datasets: sessions of recordings in one JSON file (`priv/schema/dataset.schema.json`)."""
 
+from __future__ import annotations
+
 import json
 import os
 import tempfile
+from typing import Any, Optional
 
 from . import reader
+from .reader import Path
 
 
 class Dataset:
@@ -14,7 +18,7 @@ class Dataset:
         self.path, self.document = os.fspath(path), document
 
     @classmethod
-    def create(cls, path, name=None):
+    def create(cls, path: Path, name: Optional[str] = None) -> Dataset:
         """Creates a dataset file. Raises FileExistsError if the file exists."""
         if os.path.exists(path):
             raise FileExistsError(path)
@@ -24,7 +28,7 @@ class Dataset:
         return dataset
 
     @classmethod
-    def open(cls, path):
+    def open(cls, path: Path) -> Dataset:
         """Opens a dataset file. Raises ValueError if it is not a dataset, or is of an unsupported version."""
         with open(path, encoding="utf-8") as file:
             document = json.load(file)
@@ -35,16 +39,16 @@ class Dataset:
         return cls(path, document)
 
     @property
-    def name(self):
+    def name(self) -> Optional[str]:
         """The dataset's name."""
         return self.document.get("name")
 
     @property
-    def sessions(self):
+    def sessions(self) -> dict[str, Session]:
         """A dict from name to `Session`."""
         return {session["name"]: Session(self, session) for session in self.document["sessions"]}
 
-    def add_session(self, name, **metadata):
+    def add_session(self, name: str, **metadata: Any) -> Session:
         """Adds an empty session and returns it. Raises ValueError if the name is taken."""
         if name in self.sessions:
             raise ValueError(f"the dataset already has a session {name!r}")
@@ -52,7 +56,7 @@ class Dataset:
         self.document["sessions"].append(session)
         return Session(self, session)
 
-    def save(self):
+    def save(self) -> None:
         """Writes the file atomically."""
         folder = os.path.dirname(os.path.abspath(self.path))
         with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
@@ -71,20 +75,20 @@ class Session:
         self._dataset, self.document = dataset, document
 
     @property
-    def name(self):
+    def name(self) -> Optional[str]:
         return self.document["name"]
 
     @property
-    def metadata(self):
+    def metadata(self) -> dict[str, Any]:
         """A dict of metadata, which can be changed in place."""
         return self.document.setdefault("metadata", {})
 
     @property
-    def partitions(self):
+    def partitions(self) -> dict[str, Partition]:
         """A dict from name to `Partition`."""
         return {part["name"]: Partition(self._dataset, part) for part in self.document.get("partitions", [])}
 
-    def add(self, path, name=None):
+    def add(self, path: Path, name: Optional[str] = None) -> Partition:
         """Adds a recording, by default under its own name. Raises ValueError if the name is taken."""
         store = reader.open(path)
         name = name or store.name
@@ -104,15 +108,15 @@ class Partition:
         self._dataset, self.document = dataset, document
 
     @property
-    def name(self):
+    def name(self) -> Optional[str]:
         return self.document["name"]
 
     @property
-    def path(self):
+    def path(self) -> str:
         """The recording's path, resolved against the dataset's folder."""
         folder = os.path.dirname(os.path.abspath(self._dataset.path))
         return os.path.normpath(os.path.join(folder, self.document["path"]))
 
-    def open(self):
+    def open(self) -> reader.AnyStore:
         """Opens the recording. This package reads Situ's own store format only."""
         return reader.open(self.path)

@@ -4,10 +4,17 @@
 `"raw"`. Both sides must use the same format.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Optional
+
 from . import formats
 from .binary import Damaged, Missing
 from .reader import Message
 from .times import now
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 def _import_zmq():
@@ -18,7 +25,15 @@ def _import_zmq():
     return zmq
 
 
-def subscribe(address, topic="", prefix=False, format="json", bind=False, timeout=None, high_water_mark=1_000):
+def subscribe(
+    address: str,
+    topic: str = "",
+    prefix: bool = False,
+    format: str = "json",
+    bind: bool = False,
+    timeout: Optional[float] = None,
+    high_water_mark: int = 1_000,
+) -> _Receiver:
     """Returns an iterator over the messages of a topic.
 
     With `timeout` (seconds), it ends after that time without a message. With `prefix=True`, it yields the messages of
@@ -28,17 +43,33 @@ def subscribe(address, topic="", prefix=False, format="json", bind=False, timeou
     return _Receiver(_import_zmq().SUB, address, bind, format, timeout, high_water_mark, (topic, prefix))
 
 
-def pull(address, format="json", bind=False, timeout=None, high_water_mark=1_000):
+def pull(
+    address: str,
+    format: str = "json",
+    bind: bool = False,
+    timeout: Optional[float] = None,
+    high_water_mark: int = 1_000,
+) -> _Receiver:
     """Returns an iterator over the messages of a PUSH socket, like `subscribe`."""
     return _Receiver(_import_zmq().PULL, address, bind, format, timeout, high_water_mark, None)
 
 
-def publish(address, topic, format="json", bind=True, wait_for=0, high_water_mark=1_000, linger=1.0):
+def publish(
+    address: str,
+    topic: str,
+    format: str = "json",
+    bind: bool = True,
+    wait_for: int = 0,
+    high_water_mark: int = 1_000,
+    linger: float = 1.0,
+) -> _Sender:
     """Returns a publisher with the method `send(time, data)`. The first `send` waits for `wait_for` subscribers."""
     return _Sender(_import_zmq().XPUB, address, bind, format, topic, wait_for, high_water_mark, linger)
 
 
-def push(address, format="json", bind=True, high_water_mark=1_000, linger=1.0):
+def push(
+    address: str, format: str = "json", bind: bool = True, high_water_mark: int = 1_000, linger: float = 1.0
+) -> _Sender:
     """Returns a sender for PULL sockets, like `publish`. Its `send` blocks while no receiver has room."""
     return _Sender(_import_zmq().PUSH, address, bind, format, None, 0, high_water_mark, linger)
 
@@ -55,13 +86,13 @@ class _Socket:
             self._socket.connect(address)
             self.address = address
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Closes the socket."""
         self._socket.close()
 
@@ -73,10 +104,10 @@ class _Receiver(_Socket):
         if topic_filter:
             self._socket.setsockopt(self._zmq.SUBSCRIBE, topic_filter[0].encode())
 
-    def __iter__(self):
+    def __iter__(self) -> _Receiver:
         return self
 
-    def __next__(self):
+    def __next__(self) -> Message:
         while True:
             if not self._socket.poll(None if self._timeout is None else int(self._timeout * 1_000)):
                 raise StopIteration
@@ -95,7 +126,7 @@ class _Sender(_Socket):
         super().__init__(kind, address, bind, high_water_mark)
         self._format, self._topic, self._wait_for, self._linger = format, topic, wait_for, linger
 
-    def send(self, time, data):
+    def send(self, time: int, data: Any) -> None:
         """Sends a message with its time in nanoseconds."""
         payload = formats.encode_message(self._format, time, data)
         if self._topic is None:
@@ -109,6 +140,6 @@ class _Sender(_Socket):
     def _is_subscription(self, notification):
         return notification[:1] == b"\1" and self._topic.encode().startswith(notification[1:])
 
-    def close(self):
+    def close(self) -> None:
         """Closes the socket after sending pending messages for at most `linger` seconds."""
         self._socket.close(linger=int(self._linger * 1_000))

@@ -1,5 +1,7 @@
 """Reads stores: `situ.open("recordings/lobby")`."""
 
+from __future__ import annotations
+
 import base64
 import binascii
 import bisect
@@ -7,12 +9,19 @@ import dataclasses
 import os
 import time as clock
 import warnings
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Optional, Union
 
 from . import columns, terms, values
 from .binary import Damaged
 from .frames import FrameReader
 from .layout import BINARIES, BOOLEANS, CODEC, FLOATS, INTS, TERMS, StoreFiles
+
+if TYPE_CHECKING:
+    from .segments import SegmentedStore
+
+Path = Union[str, "os.PathLike[str]"]
+AnyStore = Union["Store", "SegmentedStore"]
 
 
 @dataclasses.dataclass
@@ -21,8 +30,8 @@ class Message:
 
     time: int
     data: Any
-    creation: int = None
-    sequence: int = None
+    creation: Optional[int] = None
+    sequence: Optional[int] = None
 
 
 @dataclasses.dataclass
@@ -32,9 +41,9 @@ class Stream:
     name: str
     type: str
     count: int
-    first: int = None
-    last: int = None
-    closed: int = None
+    first: Optional[int] = None
+    last: Optional[int] = None
+    closed: Optional[int] = None
     metadata: Any = None
 
 
@@ -46,7 +55,7 @@ class DeletedWarning(UserWarning):
     """Warns that the recorder has deleted a segment before a reader could read all of it."""
 
 
-def open(path):
+def open(path: Path) -> AnyStore:
     """Opens a store: `path` is its folder, or `root/name` for the newest store of that name.
 
     If the newest store is a segment of a recording, `root/name` opens all segments as one (`SegmentedStore`). Raises
@@ -63,16 +72,16 @@ class Store(FrameReader):
     Damaged parts are skipped if the rest is readable without them, and are listed in `damage`.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str) -> None:
         self.path = path
         self._files = StoreFiles(path)
         self._index_streams()
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         counts = f"{len(self._streams)} streams, {len(self.damage)} damaged"
         return f"<situ.Store {self.name!r} at {self.path!r}: {self.state}, {counts}>"
 
-    def refresh(self):
+    def refresh(self) -> bool:
         """Reads newly committed messages. Returns whether there were any."""
         new = self._files.refresh()
         if new:
@@ -113,36 +122,43 @@ class Store(FrameReader):
             return None
 
     @property
-    def segment(self):
+    def segment(self) -> Optional[dict[str, Any]]:
         """The facts about a segment of a recording as a dict, or None if the store is not a segment."""
         return self._segment
 
     @property
-    def streams(self):
+    def streams(self) -> dict[str, Stream]:
         """A dict from name to `Stream`."""
         return dict(self._streams)
 
     @property
-    def closed(self):
+    def closed(self) -> bool:
         """Whether the writer has closed the store."""
         return self._files.state == 1
 
     @property
-    def state(self):
+    def state(self) -> str:
         """"live" while it is being written, "closed", or "abandoned" if its writer exited without closing it."""
         return "closed" if self.closed else "abandoned" if self._files.is_abandoned() else "live"
 
     @property
-    def created(self):
+    def created(self) -> int:
         """The store's creation time in nanoseconds."""
         return self._files.created
 
     @property
-    def damage(self):
+    def damage(self) -> list[str]:
         """Descriptions of damaged parts that were skipped so far."""
         return list(self._files.damage)
 
-    def read(self, name, start=None, stop=None, follow=False, skip_damage=False):
+    def read(
+        self,
+        name: str,
+        start: Optional[int] = None,
+        stop: Optional[int] = None,
+        follow: bool = False,
+        skip_damage: bool = False,
+    ) -> Iterator[Message]:
         """Yields the messages of a stream from `start` to `stop` (nanoseconds, inclusive) in order of time.
 
         With `follow=True`, it waits for new messages until the writer closes the store. If the writer was killed, the
@@ -216,7 +232,9 @@ class Store(FrameReader):
         except UnicodeDecodeError:
             return raw
 
-    def array(self, name, start=None, stop=None, skip_damage=False):
+    def array(
+        self, name: str, start: Optional[int] = None, stop: Optional[int] = None, skip_damage: bool = False
+    ) -> tuple[Any, Any]:
         """Returns the times (int64) and values of a stream as two numpy arrays.
 
         The values are numbers, booleans or arrays of one shape. `start` and `stop` (nanoseconds) are inclusive. Raises

@@ -1,14 +1,18 @@
 """Reads the segments of a recording (`hall.0000`, `hall.0001` ...) as one recording, `hall`."""
 
+from __future__ import annotations
+
 import dataclasses
 import os
 import time as clock
 import warnings
+from collections.abc import Iterator
+from typing import Any, Optional
 
 from . import values
 from .binary import Damaged
 from .frames import FrameReader
-from .reader import AbandonedWarning, DeletedWarning, Store
+from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream
 
 
 @dataclasses.dataclass
@@ -29,7 +33,7 @@ class SegmentedStore(FrameReader):
     back, its messages replace those of earlier runs from its first message on.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str) -> None:
         self.path = path
         self.name = os.path.basename(path)
         self._segments, self._ignored, self._unreadable = {}, set(), {}
@@ -37,10 +41,10 @@ class SegmentedStore(FrameReader):
         if not self._segments:
             raise FileNotFoundError(f"no segments of {path}")
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"<situ.SegmentedStore {self.name!r} at {self.path!r}: {self.state}, {len(self._segments)} segments>"
 
-    def refresh(self):
+    def refresh(self) -> bool:
         """Reads newly committed messages and finds new segments. Returns whether there were any."""
         before = list(self._segments)
         changed = False
@@ -77,12 +81,12 @@ class SegmentedStore(FrameReader):
         self._segments = dict(sorted(self._segments.items()))
 
     @property
-    def segments(self):
+    def segments(self) -> list[Store]:
         """The segments as a list of `Store`, oldest first."""
         return list(self._segments.values())
 
     @property
-    def streams(self):
+    def streams(self) -> dict[str, Stream]:
         """A dict from name to `Stream`. If a stream has had several types, the name belongs to the newest."""
         found = {}
         for name, parts in self._find_parts().items():
@@ -114,28 +118,35 @@ class SegmentedStore(FrameReader):
         return {name: _order_parts(parts[::-1]) for name, parts in sorted(found.items())}
 
     @property
-    def closed(self):
+    def closed(self) -> bool:
         """Whether the recorder has closed all segments."""
         return all(segment.closed for segment in self.segments)
 
     @property
-    def state(self):
+    def state(self) -> str:
         """"live" while it is being written, "closed", or "abandoned" if a recorder exited without closing a segment."""
         states = {segment.state for segment in self.segments}
         return next(state for state in ("live", "abandoned", "closed") if state in states)
 
     @property
-    def created(self):
+    def created(self) -> int:
         """The creation time of the oldest segment in nanoseconds."""
         return self.segments[0].created
 
     @property
-    def damage(self):
+    def damage(self) -> list[str]:
         """Descriptions of damaged parts that were skipped so far."""
         found = [f"{os.path.basename(s.path)}: {sentence}" for s in self.segments for sentence in s.damage]
         return found + list(self._unreadable.values())
 
-    def read(self, name, start=None, stop=None, follow=False, skip_damage=False):
+    def read(
+        self,
+        name: str,
+        start: Optional[int] = None,
+        stop: Optional[int] = None,
+        follow: bool = False,
+        skip_damage: bool = False,
+    ) -> Iterator[Message]:
         """Yields the messages of a stream, as `Store.read` does.
 
         With `follow=True`, it continues in new segments. If the recorder deletes a segment before it was read, the
@@ -174,7 +185,9 @@ class SegmentedStore(FrameReader):
             limit = _limit(part, stop)
             yield from part.segment.read(info.name, None if last is None else last + 1, limit, skip_damage=skip_damage)
 
-    def array(self, name, start=None, stop=None, skip_damage=False):
+    def array(
+        self, name: str, start: Optional[int] = None, stop: Optional[int] = None, skip_damage: bool = False
+    ) -> tuple[Any, Any]:
         """Returns the times (int64) and values of a stream as two numpy arrays, as `Store.array` does."""
         np = values.import_numpy()
         if name not in self._find_parts():

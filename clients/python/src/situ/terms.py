@@ -10,8 +10,11 @@
 | struct | `Struct`, a dict with `.module`, whose fields are also attributes |
 """
 
+from __future__ import annotations
+
 import math
 import struct
+from typing import Any
 
 from .binary import Cursor, Damaged
 
@@ -28,24 +31,24 @@ class Atom(str):
 
     __slots__ = ()
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Atom({str(self)!r})"
 
 
 class Struct(dict):
     """An Elixir struct: a dict of its fields, which are also attributes."""
 
-    def __init__(self, module, fields=()):
+    def __init__(self, module: str, fields: Any = ()) -> None:
         super().__init__(fields)
         self.module = module
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         try:
             return self[name]
         except KeyError:
             raise AttributeError(name) from None
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"Struct({self.module!r}, {dict(self)!r})"
 
 

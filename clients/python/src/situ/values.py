@@ -1,8 +1,10 @@
 """Images, audio and other data with a binary layout, available as numpy arrays if numpy is installed."""
 
+from __future__ import annotations
+
 import dataclasses
 import struct
-from typing import Any
+from typing import Any, Optional
 
 from .binary import Damaged, Missing
 
@@ -50,7 +52,7 @@ def _require(condition, what):
 class _Value:
     """Base class whose `repr` shows long bytes by their length, since an image has millions of them."""
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         shown = (f"{field.name}={_format_field(getattr(self, field.name))}" for field in dataclasses.fields(self))
         return f"{type(self).__name__}({', '.join(shown)})"
 
@@ -84,7 +86,7 @@ class Image(_Value):
     HEAD = struct.Struct("<BBHIII48x")
 
     @classmethod
-    def from_array(cls, array, format=None, copy=True):
+    def from_array(cls, array: Any, format: Optional[str] = None, copy: bool = True) -> Image:
         """Builds an image from a uint8 or uint16 array of shape (height, width) or (height, width, channels).
 
         Three channels are rgb24 unless `format` is given. With `copy=False`, the image refers to the array's memory.
@@ -101,7 +103,7 @@ class Image(_Value):
         return cls(array.shape[1], array.shape[0], format, len(data) // array.shape[0], data)
 
     @property
-    def array(self):
+    def array(self) -> Any:
         """The pixels without a copy: (height, width) or (height, width, channels), uint8 or uint16.
 
         The channels are in the order of `format`.
@@ -114,14 +116,14 @@ class Image(_Value):
         return import_numpy().ndarray(shape, "u1" if bits == 8 else "<u2", self.data, strides=strides)
 
     @property
-    def rgb(self):
+    def rgb(self) -> Any:
         """The pixels as (height, width, 3) with red first, for any format."""
         array = self.array
         if array.ndim == 2:
             return import_numpy().stack([array] * 3, axis=2)
         return array[:, :, 2::-1] if self.format.startswith("bgr") else array[:, :, :3]
 
-    def encode(self):
+    def encode(self) -> bytes:
         return self._encode_head() + bytes(self.data)
 
     def _encode_head(self):
@@ -158,22 +160,22 @@ class DepthImage(_Value):
     HEAD = struct.Struct("<BBHIIId40x")
 
     @classmethod
-    def from_array(cls, array, scale=0.001, semantics="plane"):
+    def from_array(cls, array: Any, scale: float = 0.001, semantics: str = "plane") -> DepthImage:
         """Builds a depth image from a uint16 array of shape (height, width)."""
         array = import_numpy().ascontiguousarray(array, "<u2")
         return cls(array.shape[1], array.shape[0], 2 * array.shape[1], scale, semantics, array.tobytes())
 
     @property
-    def array(self):
+    def array(self) -> Any:
         """The depths without a copy: (height, width), uint16."""
         return import_numpy().ndarray((self.height, self.width), "<u2", self.data, strides=(self.stride, 2))
 
     @property
-    def metres(self):
+    def metres(self) -> Any:
         """The depths in metres: (height, width), float64."""
         return self.array * self.scale
 
-    def encode(self):
+    def encode(self) -> bytes:
         head = self.HEAD.pack(1, self.semantics == "point", 0, self.width, self.height, self.stride, self.scale)
         return head + bytes(self.data)
 
@@ -200,7 +202,7 @@ class EncodedImage(_Value):
     TYPE = "Situ.EncodedImage"
     HEAD = struct.Struct("<BBHIII")
 
-    def encode(self):
+    def encode(self) -> bytes:
         return self.HEAD.pack(1, {"jpeg": 1, "png": 2}[self.format], 0, self.width, self.height, 0) + bytes(self.data)
 
     @classmethod
@@ -225,7 +227,7 @@ class AudioBuffer(_Value):
     HEAD = struct.Struct("<BBHI8x")
 
     @classmethod
-    def from_array(cls, array, rate):
+    def from_array(cls, array: Any, rate: int) -> AudioBuffer:
         """Builds a buffer from an array of shape (frames,) or (frames, channels).
 
         The array's type is uint8, int16, int32, float32 or float64.
@@ -241,7 +243,7 @@ class AudioBuffer(_Value):
         return cls(rate, channels, sample, np.ascontiguousarray(array, layout).tobytes())
 
     @property
-    def array(self):
+    def array(self) -> Any:
         """The samples as (frames, channels) in their own type; 24-bit samples are int32."""
         np = import_numpy()
         layout = SAMPLE_FORMATS[_SAMPLE_CODES[self.sample]][1]
@@ -252,7 +254,7 @@ class AudioBuffer(_Value):
         return ((values ^ 0x800000) - 0x800000).reshape(-1, self.channels)
 
     @property
-    def floats(self):
+    def floats(self) -> Any:
         """The samples as (frames, channels), float32, scaled to full scale 1.0."""
         np = import_numpy()
         if self.sample in ("f32", "f64"):
@@ -261,7 +263,7 @@ class AudioBuffer(_Value):
             return (self.array.astype("f4") - 128) / 128
         return (self.array / float(1 << {"s16": 15, "s24": 23, "s32": 31}[self.sample])).astype(np.float32)
 
-    def encode(self):
+    def encode(self) -> bytes:
         return self.HEAD.pack(1, _SAMPLE_CODES[self.sample], self.channels, self.rate) + bytes(self.data)
 
     @classmethod
@@ -287,7 +289,7 @@ class Tensor(_Value):
     TYPE = "Situ.Tensor"
 
     @classmethod
-    def from_array(cls, array, copy=True):
+    def from_array(cls, array: Any, copy: bool = True) -> Tensor:
         """Builds a tensor from an array of booleans or numbers of up to 64 bits.
 
         With `copy=False`, the tensor refers to the array's memory.
@@ -304,14 +306,14 @@ class Tensor(_Value):
         return cls(layout, shape, data)
 
     @property
-    def array(self):
+    def array(self) -> Any:
         """The numbers as a numpy array; bfloat16 numbers are float32."""
         np = import_numpy()
         if self.dtype == "bf16":
             return (np.frombuffer(self.data, "<u2").astype("<u4") << 16).view("<f4").reshape(self.shape)
         return np.frombuffer(self.data, self.dtype).reshape(self.shape)
 
-    def encode(self):
+    def encode(self) -> bytes:
         return self._encode_head() + bytes(self.data)
 
     def _encode_head(self):
@@ -336,35 +338,35 @@ class PointCloud(_Value):
     """A point cloud: points of three float32 (metres), with optional colors (uint8) and values (float32)."""
 
     points: bytes
-    colors: bytes = None
-    values: bytes = None
+    colors: Optional[bytes] = None
+    values: Optional[bytes] = None
 
     NAME = "situ.point_cloud"
     TYPE = "Situ.PointCloud"
 
     @classmethod
-    def from_array(cls, points, colors=None, values=None):
+    def from_array(cls, points: Any, colors: Any = None, values: Any = None) -> PointCloud:
         """Builds a cloud from arrays: points (n, 3), colors (n, 3) and values (n)."""
         np = import_numpy()
         to_bytes = lambda array, kind: None if array is None else np.ascontiguousarray(array, kind).tobytes()
         return cls(to_bytes(points, "<f4"), to_bytes(colors, "u1"), to_bytes(values, "<f4"))
 
     @property
-    def array(self):
+    def array(self) -> Any:
         """The points: (n, 3), float32."""
         return import_numpy().frombuffer(self.points, "<f4").reshape(-1, 3)
 
     @property
-    def rgb(self):
+    def rgb(self) -> Any:
         """The colors: (n, 3), uint8, or None."""
         return None if self.colors is None else import_numpy().frombuffer(self.colors, "u1").reshape(-1, 3)
 
     @property
-    def numbers(self):
+    def numbers(self) -> Any:
         """The values: (n), float32, or None."""
         return None if self.values is None else import_numpy().frombuffer(self.values, "<f4")
 
-    def encode(self):
+    def encode(self) -> bytes:
         flags = (self.colors is not None) + 2 * (self.values is not None)
         head = struct.pack("<BBHI", 1, flags, 0, len(self.points) // 12)
         return head + bytes(self.points) + bytes(self.colors or b"") + bytes(self.values or b"")
@@ -394,7 +396,7 @@ class Pose(_Value):
     TYPE = "Situ.Pose"
     LAYOUT = struct.Struct("<B7x7d")
 
-    def encode(self):
+    def encode(self) -> bytes:
         return self.LAYOUT.pack(1, *self.position, *self.rotation)
 
     @classmethod

@@ -1,14 +1,18 @@
 """Writes stores: `situ.create("lobby", "recordings")`."""
 
+from __future__ import annotations
+
 import fcntl
 import json
 import operator
 import os
 import re
 import struct
+from typing import Any, Optional
 
 from . import layout, terms, values
 from .binary import crc32c, encode_varint, encode_zigzag
+from .reader import Path
 from .times import now
 
 _BATCH, _BATCH_BYTES, _LARGE = 1_024, 65_536, 32_768
@@ -16,7 +20,7 @@ _FIRST_EXTENT, _MAX_EXTENT = 4 << 20, 256 << 20
 _HEAD = struct.Struct("<IIBBBBIQqqQqQdIIHHIQQ")
 
 
-def create(name, root="."):
+def create(name: str, root: Path = ".") -> Writer:
     """Creates a store in the folder `root/NAME.NNNN` and returns its `Writer`.
 
     Close the writer, or use it in a `with` statement.
@@ -59,13 +63,13 @@ class Writer:
         self._add_record({"kind": "store", "name": name, "writer": "python", "volatile": False})
         self.commit()
 
-    def __enter__(self):
+    def __enter__(self) -> Writer:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def write(self, name, time, data, creation=None):
+    def write(self, name: str, time: int, data: Any, creation: Optional[int] = None) -> None:
         """Appends a message to a stream, which is opened by its first message.
 
         `time` is an int in nanoseconds. It must be later than the stream's last message, or ValueError is raised.
@@ -84,7 +88,7 @@ class Writer:
         if len(payload) >= _LARGE:
             self._flush_stream(stream)
 
-    def open(self, name, type):
+    def open(self, name: str, type: str) -> None:
         """Opens a stream with a type in Elixir's notation (`":float"`, `"Situ.Image"`).
 
         Without this call, the first message determines the type.
@@ -128,7 +132,7 @@ class Writer:
         time, payload = self._catalog_time, json.dumps(record).encode()
         self._catalog.add_message((layout.BINARIES, 0), time, time, payload)
 
-    def commit(self):
+    def commit(self) -> None:
         """Writes pending messages, so that readers see them and a kill of this process cannot lose them."""
         for stream in self._streams.values():
             self._flush_stream(stream)
@@ -184,7 +188,7 @@ class Writer:
             extents.append(extent)
         return extents[-1], -(-extents[-1].end // 8) * 8
 
-    def close(self):
+    def close(self) -> None:
         """Commits all messages and closes the store."""
         if self._index is None:
             return
