@@ -92,7 +92,8 @@ class FramesTest(unittest.TestCase):
         self.assertEqual(page.count("<rect"), 5)
         self.assertIn("100 messages", page)
         self.assertIn("<th>Level</th>", self.store.join(["Level"])._repr_html_())
-        self.assertEqual(repr(self.store.frame("Level")), "<situ.Frame of 100 rows; time: datetime64[ns], value: float64>")
+        expected = "<situ.Frame of 100 rows; time: datetime64[ns], value: float64>"
+        self.assertEqual(repr(self.store.frame("Level")), expected)
 
     @unittest.skipUnless(importlib.util.find_spec("pandas"), "pandas is not installed")
     def test_pandas(self):

@@ -167,7 +167,8 @@ class SegmentedStore(FrameReader):
                 self.refresh()
                 if numbers <= set(self._segments):
                     raise
-                warnings.warn(f"{self.path}: messages were deleted before they were read ({error})", DeletedWarning, stacklevel=2)
+                text = f"{self.path}: messages were deleted before they were read ({error})"
+                warnings.warn(text, DeletedWarning, stacklevel=2)
                 continue
             if not follow or state == "closed" or (stop is not None and last is not None and last >= stop):
                 return

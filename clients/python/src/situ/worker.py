@@ -171,7 +171,8 @@ class Worker:
                 yield self._call(self._handle, message[2].time, *message)
 
     def _handle(self, index, place, envelope):
-        return self._handlers[index](self._read_value(place), envelope)
+        raw = place if isinstance(place, bytes) else self._slots.view(*place)
+        return self._handlers[index](_decode_value(raw), envelope)
 
     def _handle_batches(self, messages):
         for start in range(0, len(messages), self._batch):

@@ -81,4 +81,36 @@ defmodule Situ.Python.ArraysTest do
     :erlang.garbage_collect()
     assert_filled(tensors, [5, 6])
   end
+
+  test "of a worker that truncates the shared memory do not affect the VM", %{tmp_dir: dir} do
+    source =
+      write_part(dir, """
+      def on_value(self, value, message):
+          array = self.empty(#{@size})
+          array[:] = 7
+          if value == 3:
+              os.ftruncate(self._memory._file, 0)
+          return {"out": array}
+      """)
+
+    test = self()
+
+    {:error, failure} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(1..5, every: 10)
+        |> Situ.Python.component(source, python: numpy_python(), out: [out: Tensor])
+        |> Situ.each(&send(test, &1))
+      end)
+
+    error = if is_struct(failure, Situ.Error), do: failure, else: failure.error
+    assert error.code in [:python_ended, :bad_python_value]
+
+    # A value that arrived before has lost its pages.
+    receive do
+      %Tensor{data: data} -> assert :binary.last(data) in [0, 7]
+    after
+      0 -> :ok
+    end
+  end
 end
