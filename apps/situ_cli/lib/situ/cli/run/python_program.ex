@@ -27,7 +27,9 @@ defmodule Situ.CLI.Run.PythonProgram do
   end
 
   defp list_environment(text, opts) do
-    requirements = opts[:requirements] || script_dependencies(text)
+    # With `--python`, the user names an environment that has the packages.
+    listed = if opts[:python], do: nil, else: script_dependencies(text)
+    requirements = opts[:requirements] || listed
     [python: opts[:python] || "python3", requirements: requirements]
   end
 
@@ -136,6 +138,7 @@ defmodule Situ.CLI.Run.PythonProgram do
     end
   end
 
+  # Other files, URLs and devices are media. A path that does not exist is meant to be a recording.
   defp recording?(path), do: File.dir?(path) or not (File.exists?(path) or path =~ ":")
 
   defp choose_recorded(class, store, path, []) do
