@@ -16,10 +16,11 @@ defmodule Situ.Dataset do
       true
 
   `open/1` accepts a dataset file, a `.pds` file of \\psi, a folder of recordings, or one recording. A dataset is a
-  plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved atomically before it returns;
-  otherwise `unsaved?` is true. Edits that another program has saved are never overwritten: `save/1` returns an error in
-  this case, and `update/2` edits the current content of the file. `Situ.Dataset.Server` is a process that shares a
-  dataset between several users and notifies them of changes.
+  plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is on disk before it returns;
+  otherwise `unsaved?` is true. Several programs may edit the file: `save/1` merges their edits with those of the
+  dataset, and `update/2` edits the current content of the file. An edit is an operation in the log `FILE.edits`, so
+  every earlier version can be listed, compared and restored (`Situ.Dataset.History`). `Situ.Dataset.Server` is a
+  process that shares a dataset between several users and notifies them of changes.
 
   | to | see |
   |---|---|
@@ -39,7 +40,9 @@ defmodule Situ.Dataset do
           "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
 
   Paths are relative to the file and use forward slashes, so the file and its recordings can be moved together. Saving
-  keeps unknown fields of the file. `priv/schema/dataset.schema.json` of this app describes all fields.
+  keeps unknown fields of the file. `priv/schema/dataset.schema.json` of this app describes all fields. Situ adds the
+  field `edits`, which relates the file to its log. If a person has changed the file, the next program that opens it adds
+  the change to the log. Files of more than 64 KB may be some edits behind their log, until `write_file/1`.
   """
   # A dataset is a value and a JSON file, not a process or a database, because people edit it and
   # move it together with the recordings. Partitions are names and relative paths, and a recording
@@ -47,7 +50,7 @@ defmodule Situ.Dataset do
   # a thousand sessions opens in about 0.1 s. Unknown fields of the file are kept.
   alias Situ.Dataset.{
     Checksum,
-    DatasetFile,
+    DatasetDocument,
     Derivation,
     Discovery,
     FileFormat,
@@ -57,6 +60,7 @@ defmodule Situ.Dataset do
     Summary
   }
 
+  alias Situ.EditLog.Document
   alias Situ.{Error, Options}
 
   @options [
@@ -66,6 +70,9 @@ defmodule Situ.Dataset do
     tags: [type: {:list, :string}, default: [], doc: "Words for searching."]
   ]
 
+  @fields [:name, :metadata, :tags, :sessions, :extra]
+
+  @derive {Inspect, except: [:document]}
   defstruct name: "Untitled Dataset",
             file: nil,
             autosave?: false,
@@ -74,7 +81,7 @@ defmodule Situ.Dataset do
             metadata: %{},
             tags: [],
             extra: %{},
-            digest: nil
+            document: nil
 
   @type t :: %__MODULE__{
           name: String.t(),
@@ -85,7 +92,7 @@ defmodule Situ.Dataset do
           metadata: map(),
           tags: [String.t()],
           extra: map(),
-          digest: String.t() | nil
+          document: term()
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
 
@@ -150,16 +157,29 @@ defmodule Situ.Dataset do
   def load(path, opts \\ []) do
     path = Path.expand(path)
 
-    with {:ok, fields, digest} <- FileFormat.read_digested(path) do
-      dataset = struct!(%__MODULE__{digest: digest}, fields)
-      file = if Path.extname(path) == ".pds", do: nil, else: path
-      put_file(dataset, file, (opts[:autosave] && file != nil) || false)
+    with {:ok, document} <- open_document(path) do
+      dataset = struct!(__MODULE__, document.content)
+
+      if Path.extname(path) == ".pds",
+        do: {:ok, dataset},
+        else: put_file(%{dataset | document: document}, path, opts[:autosave] || false)
+    end
+  end
+
+  defp open_document(path) do
+    with {:error, %{code: :bad_document} = error} <- Document.open(path, DatasetDocument) do
+      {:error,
+       Error.new(:bad_dataset, "#{path} is not a dataset file",
+         why: error.why,
+         fix: "see `Situ.Dataset` for the format, or create a dataset with `situ dataset create`"
+       )}
     end
   end
 
   @doc """
-  Writes the dataset to its file atomically. Errors: `:no_file`, `:not_saved`, `:dataset_in_use`, and
-  `:dataset_changed` if another program has saved the file since this dataset was read or saved.
+  Saves the edits of the dataset to its file. Edits that other programs have saved in the meantime are kept, and the
+  returned dataset contains them. Errors: `:no_file`, `:not_saved`, `:dataset_in_use`, `:no_locks` if the file system
+  cannot lock files, and `:dataset_changed` if another program has changed the same field differently.
   """
   @spec save(t()) :: result()
   def save(%__MODULE__{file: nil}) do
@@ -169,19 +189,20 @@ defmodule Situ.Dataset do
      )}
   end
 
-  def save(%__MODULE__{file: file} = dataset) do
-    DatasetFile.with_lock(file, fn ->
-      with :ok <- DatasetFile.check_unchanged(file, dataset.digest), do: write_file(dataset)
-    end)
-  end
+  def save(%__MODULE__{document: nil, file: file} = dataset),
+    do:
+      file |> Document.put(DatasetDocument, Map.take(dataset, @fields)) |> take_document(dataset)
+
+  def save(%__MODULE__{document: document} = dataset),
+    do: document |> Document.merge(list_changes(dataset), []) |> take_document(dataset)
 
   @doc """
-  Writes the dataset to another file, which becomes its file; an existing file is replaced. Paths in the dataset are
-  stored relative to the new file.
+  Writes the dataset to another file, which becomes its file. An existing dataset file gets the content of this dataset,
+  and its history remains. Paths in the dataset are stored relative to the new file.
   """
   @spec save_as(t(), Path.t()) :: result()
   def save_as(%__MODULE__{} = dataset, path),
-    do: save(%{dataset | file: Path.expand(path), digest: nil})
+    do: save(%{dataset | file: Path.expand(path), document: nil})
 
   @doc """
   Reads the dataset from its file, changes it with a function `dataset -> {:ok, dataset} | {:error, error}`, and saves
@@ -190,38 +211,60 @@ defmodule Situ.Dataset do
 
       Situ.Dataset.update(dataset, &Situ.Dataset.put_fields(&1, tags: ["pilot" | &1.tags]))
 
-  Errors: the errors of `fun` and of `save/1`. `:dataset_changed` is returned only if the dataset has unsaved edits.
+  Errors: the errors of `fun` and of `save/1`. Options: `by:`, the person in the history (default: the user of this
+  program), and `write:`, whether to also write a large file (default `false`).
   """
-  @spec update(t(), (t() -> result())) :: result()
-  def update(%__MODULE__{file: nil} = dataset, fun), do: fun.(dataset)
+  @spec update(t(), (t() -> result()), keyword()) :: result()
+  def update(dataset, fun, opts \\ [])
+  def update(%__MODULE__{file: nil} = dataset, fun, _opts), do: fun.(dataset)
 
-  def update(%__MODULE__{file: file} = dataset, fun) do
-    DatasetFile.with_lock(file, fn ->
-      with {:ok, dataset} <- reload_if_changed(dataset),
-           {:ok, changed} <- fun.(%{dataset | autosave?: false}),
-           {:ok, saved} <- write_file(changed),
-           do: {:ok, %{saved | autosave?: dataset.autosave?}}
-    end)
+  def update(%__MODULE__{document: nil} = dataset, fun, opts) do
+    with {:ok, saved} <- save(dataset), do: update(saved, fun, opts)
   end
 
-  defp reload_if_changed(%{file: file, digest: digest} = dataset) do
-    case DatasetFile.check_unchanged(file, digest) do
-      {:error, %{code: :dataset_changed}} when not dataset.unsaved? ->
-        load(file, autosave: dataset.autosave?)
+  def update(%__MODULE__{document: document} = dataset, fun, opts) do
+    changes = list_changes(dataset)
 
-      :ok ->
-        {:ok, dataset}
+    edit = fn content ->
+      with {:ok, content} <- Document.merge_content(document, content, changes),
+           {:ok, changed} <- fun.(struct!(%{dataset | autosave?: false}, content)),
+           do: {:ok, Map.take(changed, @fields)}
+    end
 
-      error ->
-        error
+    document |> Document.edit(edit, opts) |> take_document(dataset)
+  end
+
+  @doc "Reads the edits that other programs have saved. Errors: those of `load/2`, and `:dataset_changed`."
+  @spec refresh(t()) :: result()
+  def refresh(%__MODULE__{document: nil} = dataset), do: {:ok, dataset}
+
+  def refresh(%__MODULE__{document: document} = dataset) do
+    with {:ok, document} <- Document.refresh(document) do
+      case Document.merge_content(document, document.content, list_changes(dataset)) do
+        {:ok, content} -> {:ok, struct!(%{dataset | document: document}, content)}
+        error -> take_document(error, dataset)
+      end
     end
   end
 
-  defp write_file(dataset) do
-    with {:ok, digest} <-
-           DatasetFile.write(dataset.file, FileFormat.encode(dataset, dataset.file)),
-         do: {:ok, %{dataset | unsaved?: false, digest: digest}}
-  end
+  @doc "Writes the file if it is behind its log, which can only be the case for files of more than 64 KB."
+  @spec write_file(t()) :: result()
+  def write_file(%__MODULE__{} = dataset), do: update(dataset, &{:ok, &1}, write: true)
+
+  # Returns the edits of this value that are not saved.
+  defp list_changes(%{document: document} = dataset),
+    do: DatasetDocument.diff(document.content, Map.take(dataset, @fields), document.path)
+
+  defp take_document({:ok, document}, dataset),
+    do: {:ok, struct!(%{dataset | unsaved?: false, document: document}, document.content)}
+
+  defp take_document({:error, %{code: :in_use} = error}, _dataset),
+    do: {:error, %{error | code: :dataset_in_use}}
+
+  defp take_document({:error, %{code: :conflict} = error}, _dataset),
+    do: {:error, %{error | code: :dataset_changed}}
+
+  defp take_document(error, _dataset), do: error
 
   # Every edit ends with this function, which saves the dataset if autosave is on.
   defp commit_edit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})

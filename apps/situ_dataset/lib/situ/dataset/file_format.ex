@@ -2,11 +2,9 @@ defmodule Situ.Dataset.FileFormat do
   @moduledoc false
   # Reads and writes dataset files, whose form `Situ.Dataset` describes. \psi's `.pds` files, which
   # have the same structure with other names, are read but never written.
-  alias Situ.Dataset.{DatasetFile, NameRules, Partition, Session, StoredPath}
-  alias Situ.Error
+  alias Situ.Dataset.{NameRules, Partition, Session, StoredPath}
 
   @version 1
-  @largest 64 * 1024 * 1024
 
   @type dataset :: %{
           name: String.t(),
@@ -15,23 +13,6 @@ defmodule Situ.Dataset.FileFormat do
           sessions: [Session.t()],
           extra: map()
         }
-
-  @doc "Reads a dataset file."
-  @spec read(Path.t()) :: {:ok, dataset()} | {:error, Error.t()}
-  def read(path) do
-    with {:ok, dataset, _digest} <- read_digested(path), do: {:ok, dataset}
-  end
-
-  @doc "Reads a dataset file and returns `{:ok, dataset, digest}` with the digest of its text."
-  @spec read_digested(Path.t()) :: {:ok, dataset(), String.t()} | {:error, Error.t()}
-  def read_digested(path) do
-    with {:ok, text} <- read_text(path) do
-      case parse(text, path) do
-        {:ok, dataset} -> {:ok, dataset, DatasetFile.text_digest(text)}
-        {:error, why} -> {:error, bad_dataset_error(path, why)}
-      end
-    end
-  end
 
   @doc "Returns whether a file is probably a dataset; reads only its first bytes."
   @spec dataset_file?(Path.t()) :: boolean()
@@ -48,35 +29,6 @@ defmodule Situ.Dataset.FileFormat do
     else
       _ -> false
     end
-  end
-
-  defp read_text(path) do
-    with {:ok, %{type: :regular, size: size}} when size <= @largest <- File.stat(path),
-         {:ok, text} <- File.read(path) do
-      {:ok, text}
-    else
-      {:ok, %{type: :regular, size: size}} ->
-        {:error,
-         bad_dataset_error(path, "it has #{size} bytes; a dataset file has at most #{@largest}")}
-
-      {:ok, %{type: type}} ->
-        {:error, bad_dataset_error(path, "it is a #{type}")}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:not_found, "cannot read the dataset #{path}",
-           why: to_string(:file.format_error(reason)),
-           fix: "check the path"
-         )}
-    end
-  end
-
-  defp bad_dataset_error(path, why) do
-    Error.new(:bad_dataset, "#{path} is not a dataset file",
-      why: why,
-      fix:
-        "see `Situ.Dataset.FileFormat` for the format, or create a dataset with `situ dataset create`"
-    )
   end
 
   @doc "Parses the text of the dataset file `path`; returns `{:ok, dataset}`, or the reason in words."
@@ -230,15 +182,47 @@ defmodule Situ.Dataset.FileFormat do
   @spec reject_file(String.t()) :: no_return()
   defp reject_file(why), do: throw({:refused, why})
 
-  @doc "Encodes a dataset as the text of a file that will be saved as `path`."
-  @spec encode(dataset() | map(), Path.t()) :: String.t()
-  def encode(dataset, path) do
+  @doc "Parses a session from the JSON that `session_json/2` returned."
+  @spec parse_session(term(), Path.t()) :: {:ok, Session.t()} | {:error, String.t()}
+  def parse_session(%{} = json, path) do
+    {:ok, build_session(json, &native_partition(&1, path), "partitions", "name")}
+  catch
+    {:refused, why} -> {:error, why}
+  end
+
+  def parse_session(_json, _path), do: {:error, "it is not a session"}
+
+  @doc """
+  Converts a session to JSON with all of its lists and objects, also empty ones, as in a file that is saved as `path`.
+  """
+  @spec session_json(Session.t(), Path.t()) :: map()
+  def session_json(session, path) do
+    {:ok, json} =
+      session
+      |> encode_session(path)
+      |> encode_pretty("")
+      |> IO.iodata_to_binary()
+      |> Situ.JSON.decode()
+
+    partitions = for p <- json["partitions"], do: Map.merge(%{"metadata" => %{}}, p)
+    Map.merge(%{"tags" => [], "metadata" => %{}}, %{json | "partitions" => partitions})
+  end
+
+  @doc """
+  Encodes a dataset as the text of a file that will be saved as `path`. `mark` is the text of the member `edits`
+  (`Situ.EditLog.Mark`), or `nil`.
+  """
+  @spec encode(dataset() | map(), Path.t(), String.t() | nil) :: String.t()
+  def encode(dataset, path, mark \\ nil) do
     members = [
       {"version", @version},
+      {"edits", mark && {:text, mark}},
       {"name", dataset.name},
       {"tags", dataset.tags},
       {"metadata", dataset.metadata}
     ]
+
+    members = if mark, do: members, else: List.delete_at(members, 1)
 
     sessions = {"sessions", Enum.map(dataset.sessions, &encode_session(&1, path))}
     text = encode_pretty({:object, members ++ Enum.sort(dataset.extra) ++ [sessions]}, "")
@@ -274,6 +258,7 @@ defmodule Situ.Dataset.FileFormat do
   # Writes members in a readable order; the JSON encoder does not define one.
   defp encode_pretty({:object, members}, indent), do: encode_lines("{", members, "}", indent)
   defp encode_pretty([{:object, _} | _] = list, indent), do: encode_lines("[", list, "]", indent)
+  defp encode_pretty({:text, text}, _indent), do: text
   defp encode_pretty(value, _indent), do: Situ.JSON.encode(value)
 
   defp encode_lines(open, items, close, indent) do

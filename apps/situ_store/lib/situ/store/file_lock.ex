@@ -85,7 +85,9 @@ defmodule Situ.Store.FileLock do
       "since #{holder.since || "an unknown time"}"
   end
 
-  defp describe_self do
+  @doc "Describes the calling process as a holder: its user, program and computer, and the time now."
+  @spec describe_self() :: holder()
+  def describe_self do
     %{
       os_pid: System.pid(),
       host: host_name(),

@@ -1,0 +1,448 @@
+defmodule Situ.EditLog.Document do
+  @moduledoc false
+  # A JSON file that people can read, and the log of its edits. An edit appends an operation to the log and is then
+  # acknowledged. The file is written after every edit while it is small; a large file is written when the operations
+  # since then take an eighth of its size, so an edit costs no more than its own size on average.
+  #
+  # The file names the version that it contains (`"edits": {"log", "version", "offset", "digest"}`). If its digest does
+  # not fit, somebody has edited the file itself. The difference from that version then becomes an operation, too.
+  # See docs/adr/0175-documents-are-files-with-a-log.md.
+  alias Situ.{EditLog, Error}
+  alias Situ.EditLog.{Changes, Description, Disk, Entry, Mark}
+
+  @small 65_536
+  @largest 64 * 1024 * 1024
+  # File systems record the time of a change in seconds. A later change in the same second could have the same size.
+  @uncertain_s 2
+
+  @typedoc "The state of a document: a struct, or any term that the format understands."
+  @type content :: term()
+
+  @doc "Parses the text of a file. `mark` are the fields of `edits`. Returns the reason in words if it is no document."
+  @callback parse(text :: binary(), Path.t()) ::
+              {:ok, content(), mark :: map() | nil} | {:error, String.t()}
+  @doc "Encodes the text of a file, with the text of the member `edits`."
+  @callback encode(content(), Path.t(), mark :: String.t() | nil) :: binary()
+  @doc "Converts the content to JSON, which contains all of it."
+  @callback to_json(content(), Path.t()) :: map()
+  @doc "Converts JSON that `to_json/2` returned."
+  @callback from_json(map(), Path.t()) :: {:ok, content()} | :error
+  @doc "Returns the changes between two contents."
+  @callback diff(content(), content(), Path.t()) :: [Changes.change()]
+  @doc "Applies a change."
+  @callback apply_change(content(), Changes.change(), Path.t()) :: {:ok, content()} | :conflict
+
+  @enforce_keys [:path, :format]
+  defstruct [:path, :format, :content, :log, :stat, :checked, :digest, size: 0, written: 0]
+
+  @typedoc """
+  `stat` and `digest` describe the file, `checked` is the time in s when its digest was last compared, `size` is its
+  size, and `written` is the offset in the log up to which the file contains it.
+  """
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          format: module(),
+          content: content(),
+          log: EditLog.t() | nil,
+          stat: tuple() | nil,
+          checked: integer() | nil,
+          digest: String.t() | nil,
+          size: non_neg_integer(),
+          written: non_neg_integer()
+        }
+  @type result :: {:ok, t()} | {:error, Error.t()}
+
+  @doc "Returns the number of the last operation that the document contains."
+  @spec version(t()) :: non_neg_integer()
+  def version(document), do: document.log.n
+
+  @doc """
+  Opens a document. Errors: `:not_found`, `:bad_document` with the reason in words, `:bad_log`.
+  """
+  @spec open(Path.t(), module()) :: result()
+  def open(path, format) do
+    path = Path.expand(path)
+
+    with {:ok, document, mark} <- read_file(%__MODULE__{path: path, format: format}),
+         {:ok, log} <- EditLog.open(path),
+         do: join_log(%{document | log: log}, mark)
+  end
+
+  defp read_file(%{path: path} = document) do
+    with {:ok, %{type: :regular, size: size}} when size <= @largest <- File.stat(path),
+         {:ok, stat} <- Disk.file_stat(path),
+         {:ok, text} <- File.read(path),
+         {:ok, content, mark} <- document.format.parse(text, path) do
+      now = System.os_time(:second)
+      digest = Mark.text_digest(text)
+      mark = mark && Map.put(mark, "intact", mark["digest"] == digest)
+      file = %{content: content, stat: stat, checked: now, digest: digest, size: byte_size(text)}
+      {:ok, struct!(document, file), mark}
+    else
+      {:ok, %{type: :regular, size: size}} ->
+        {:error, bad_document_error(path, "it has #{size} bytes; the limit is #{@largest}")}
+
+      {:ok, %{type: type}} ->
+        {:error, bad_document_error(path, "it is a #{type}")}
+
+      {:error, why} when is_binary(why) ->
+        {:error, bad_document_error(path, why)}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_found, "cannot read #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "check the path"
+         )}
+    end
+  end
+
+  defp bad_document_error(path, why), do: Error.new(:bad_document, "cannot use #{path}", why: why)
+
+  # A file without a log, such as one of an earlier release, gets its log with the first edit.
+  defp join_log(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
+
+  defp join_log(%{log: %{id: id} = log} = document, %{"log" => id, "intact" => true} = mark) do
+    with {:ok, log} <- EditLog.seek(log, mark["version"], mark["offset"]),
+         {:ok, log, entries} <- EditLog.read_new(log),
+         {:ok, document} <- apply_entries(document, {log, entries}) do
+      {:ok, %{document | written: mark["offset"]}}
+    else
+      {:error, error} -> {:error, error}
+      _ -> {:error, EditLog.damaged_error(log, mark["offset"])}
+    end
+  end
+
+  defp join_log(document, mark) do
+    case EditLog.with_lock(document.path, fn -> reopen_locked(document) end) do
+      {:ok, document} ->
+        {:ok, document}
+
+      {:error, %{code: code}} = error when code in [:bad_log, :bad_document, :not_found] ->
+        error
+
+      # The folder cannot be written. The edits of the file are shown all the same.
+      {:error, _} ->
+        with {:ok, document, _changes} <- merge_file(document, mark), do: {:ok, document}
+    end
+  end
+
+  defp apply_entries(document, {log, entries}) do
+    case apply_changes(document, Enum.flat_map(entries, &entry_changes/1)) do
+      {:ok, content} -> {:ok, %{document | content: content, log: log}}
+      {:conflict, _} -> {:error, EditLog.damaged_error(log, log.offset)}
+    end
+  end
+
+  @doc "Applies changes to the content of a document, all or none; returns the first one that conflicts."
+  @spec apply_changes(t(), [Changes.change()]) :: {:ok, content()} | {:conflict, Changes.change()}
+  def apply_changes(document, changes) do
+    Enum.reduce_while(changes, {:ok, document.content}, fn change, {:ok, content} ->
+      case document.format.apply_change(content, change, document.path) do
+        {:ok, content} -> {:cont, {:ok, content}}
+        :conflict -> {:halt, {:conflict, change}}
+      end
+    end)
+  end
+
+  @doc "Returns the changes of an entry of a log."
+  @spec entry_changes(Entry.t()) :: [Changes.change()]
+  def entry_changes(%{do: %{"changes" => changes}}) when is_list(changes), do: changes
+  def entry_changes(_entry), do: []
+
+  # Takes over an edit of the file itself, while the document is locked.
+  defp adopt_file(document, mark) do
+    with {:ok, merged, changes} <- merge_file(document, mark),
+         origin = [program: "an editor of the file", of: document.digest],
+         {:ok, merged} <- append_changes(merged, {"outside", changes}, origin),
+         do: write_file(merged)
+  end
+
+  # The file's edits apply to the version that it names. They replace other changes of the same places.
+  defp merge_file(%{path: path, format: format} = document, mark) do
+    with {:ok, log, entries} <- EditLog.read_all(path),
+         {:ok, now} <- replay_json(log, entries),
+         {:ok, base} <- file_base(log, {entries, now}, mark) do
+      edits =
+        if adopted?(entries, document.digest),
+          do: [],
+          else: Changes.diff(base, format.to_json(document.content, path))
+
+      merged = Enum.reduce(edits, now, &Changes.force_change(&2, &1))
+
+      with {:ok, before} <- from_json(document, now),
+           {:ok, later} <- from_json(document, merged) do
+        changes = format.diff(before, later, path)
+        {:ok, %{document | log: log, content: later, written: log.offset}, changes}
+      end
+    end
+  end
+
+  # A program that took over the file's edits was killed before it wrote the file.
+  defp adopted?(entries, digest) do
+    last = entries |> Enum.reverse() |> Enum.find(&(&1.kind == "outside"))
+    last != nil and last.of == digest
+  end
+
+  defp file_base(%{id: id} = log, {entries, now}, %{"log" => id, "version" => version}) do
+    if version <= log.n,
+      do: replay_json(log, Enum.take(entries, version)),
+      else: {:ok, now}
+  end
+
+  defp file_base(_log, {_entries, now}, _mark), do: {:ok, now}
+
+  defp replay_json(%{header: %{"base" => %{} = base}} = log, entries) do
+    case Changes.apply_all(base, Enum.flat_map(entries, &entry_changes/1)) do
+      {:ok, json} -> {:ok, json}
+      {:conflict, _} -> {:error, EditLog.damaged_error(log, log.offset)}
+    end
+  end
+
+  defp replay_json(log, _entries), do: {:error, EditLog.damaged_error(log, 0)}
+
+  defp from_json(document, json) do
+    with :error <- document.format.from_json(json, document.path),
+         do: {:error, EditLog.damaged_error(document.log, 0)}
+  end
+
+  @doc "Reads the edits that other programs have made since, from the log or in the file itself."
+  @spec refresh(t()) :: result()
+  def refresh(document) do
+    if changed_file?(document) do
+      open(document.path, document.format)
+    else
+      case EditLog.read_new(document.log) do
+        {:ok, log, []} -> {:ok, %{document | log: log}}
+        {:ok, log, entries} -> apply_entries(document, {log, entries})
+        :replaced -> open(document.path, document.format)
+        error -> error
+      end
+    end
+  end
+
+  # A file that was deleted is written again with the next edit.
+  defp changed_file?(%{path: path, stat: stat} = document) do
+    case Disk.file_stat(path) do
+      {:ok, ^stat} -> uncertain?(document) and changed_text?(document)
+      {:error, :enoent} -> false
+      _ -> true
+    end
+  end
+
+  defp uncertain?(%{stat: {_, _, changed}, checked: checked}) do
+    now = System.os_time(:second)
+    checked - changed < @uncertain_s and now - changed >= @uncertain_s
+  end
+
+  defp changed_text?(%{path: path, digest: digest}) do
+    case File.read(path) do
+      {:ok, text} -> Mark.text_digest(text) != digest
+      {:error, _} -> false
+    end
+  end
+
+  @doc """
+  Changes the current content with a function `content -> {:ok, content} | {:error, error}`. Other programs wait in the
+  meantime. Options: those of `Situ.EditLog.Entry.new/3`, `kind:` (default `edit`), and `write:` `true` to write a large
+  file, too. Errors: those of `fun`, `:in_use`, `:no_locks`, `:not_saved`.
+  """
+  @spec edit(t(), (content() -> {:ok, content()} | {:error, Error.t()}), keyword()) :: result()
+  def edit(document, fun, opts \\ []) do
+    EditLog.with_lock(document.path, fn ->
+      with :ok <- check_type(document.path),
+           {:ok, document} <- refresh_locked(document),
+           {:ok, later} <- fun.(document.content),
+           changes = document.format.diff(document.content, later, document.path),
+           {:ok, document} <- append_changes(document, {opts[:kind] || "edit", changes}, opts),
+           do: document |> Map.put(:content, later) |> write_if_due(opts[:write])
+    end)
+  end
+
+  defp check_type(path) do
+    case File.stat(path) do
+      {:ok, %{type: type}} when type != :regular ->
+        {:error,
+         Error.new(:not_saved, "cannot write #{path}", why: "it is a #{type}", fix: "move it away")}
+
+      _ ->
+        :ok
+    end
+  end
+
+  # The lock is held already, so an edited file is merged here.
+  defp refresh_locked(document) do
+    if changed_file?(document) do
+      reopen_locked(document)
+    else
+      case EditLog.read_new(document.log) do
+        {:ok, log, entries} -> apply_entries(document, {log, entries})
+        :replaced -> reopen_locked(document)
+        error -> error
+      end
+    end
+  end
+
+  defp reopen_locked(%{path: path, format: format} = document) do
+    with {:ok, log} <- EditLog.open(path) do
+      case read_file(%__MODULE__{path: path, format: format, log: log}) do
+        {:ok, fresh, mark} -> join_locked(fresh, mark)
+        {:error, %{code: :not_found}} -> replay_missing(%{document | log: log, written: 0})
+        error -> error
+      end
+    end
+  end
+
+  # The file was deleted while a program edits it. The next edit writes it again.
+  defp replay_missing(%{log: %{id: nil}} = document), do: {:ok, document}
+
+  defp replay_missing(document) do
+    with {:ok, log, entries} <- EditLog.read_all(document.path),
+         {:ok, json} <- replay_json(log, entries),
+         {:ok, content} <- from_json(document, json),
+         do: {:ok, %{document | log: log, content: content}}
+  end
+
+  defp join_locked(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
+
+  defp join_locked(%{log: %{id: id}} = document, %{"log" => id, "intact" => true} = mark),
+    do: join_log(document, mark)
+
+  defp join_locked(document, mark), do: adopt_file(document, mark)
+
+  defp append_changes(document, {_kind, []}, _opts), do: {:ok, document}
+
+  defp append_changes(document, {kind, changes}, opts) do
+    with {:ok, log} <- ensure_log(document),
+         {:ok, log, _entry} <-
+           EditLog.append(log, Entry.new(kind, %{"changes" => changes}, opts)),
+         do: {:ok, %{document | log: log}}
+  end
+
+  defp ensure_log(%{log: %{id: nil}} = document),
+    do:
+      EditLog.create(document.log, %{
+        "base" => document.format.to_json(document.content, document.path)
+      })
+
+  defp ensure_log(%{log: log}), do: {:ok, log}
+
+  defp write_if_due(%{log: log, size: size} = document, write?) do
+    tail = log.offset - document.written
+
+    cond do
+      not File.exists?(document.path) -> write_file(document)
+      tail == 0 -> {:ok, document}
+      write? == true or size <= @small or tail * 8 >= size -> write_checked(document)
+      true -> {:ok, document}
+    end
+  end
+
+  # The log contains the edit, so it is acknowledged even if the file cannot be written. The next edit tries again.
+  defp write_checked(document) do
+    if changed_text?(document),
+      do: {:ok, document},
+      else: write_file(document)
+  end
+
+  defp write_file(%{path: path, log: log} = document) do
+    mark = if log.id, do: {log.id, log.n, log.offset}
+    text = Mark.put_digest(document.format.encode(document.content, path, Mark.encode(mark)))
+
+    with :ok <- Disk.replace(path, text), {:ok, stat} <- Disk.file_stat(path) do
+      file = %{stat: stat, checked: System.os_time(:second), size: byte_size(text)}
+
+      {:ok,
+       struct!(document, Map.merge(file, %{digest: Mark.text_digest(text), written: log.offset}))}
+    else
+      {:error, reason} ->
+        if log.id, do: {:ok, document}, else: {:error, not_saved_error(path, reason)}
+    end
+  end
+
+  defp not_saved_error(path, reason) do
+    Error.new(:not_saved, "cannot save #{path}",
+      why: to_string(:file.format_error(reason)),
+      fix: "the file was not changed; check the folder, or save to another file"
+    )
+  end
+
+  @doc """
+  Writes a document that was not read from `path`. If the file exists, this is an edit of it, so its content stays in
+  the history.
+  """
+  @spec put(Path.t(), module(), content()) :: result()
+  def put(path, format, content) do
+    path = Path.expand(path)
+
+    EditLog.with_lock(path, fn ->
+      with :ok <- check_type(path), {:ok, log} <- EditLog.open(path) do
+        new = %__MODULE__{path: path, format: format, content: content, log: log}
+
+        case read_file(new) do
+          {:ok, found, mark} -> replace_content(found, mark, content)
+          {:error, _} -> put_missing(new)
+        end
+      end
+    end)
+  end
+
+  defp replace_content(found, mark, content) do
+    with {:ok, current} <- join_locked(found, mark),
+         changes = found.format.diff(current.content, content, found.path),
+         {:ok, current} <- append_changes(current, {"edit", changes}, note: "replaced the file"),
+         do: write_file(%{current | content: content})
+  end
+
+  # The file is missing or is not a document.
+  defp put_missing(%{log: %{id: nil}} = new), do: write_file(new)
+
+  defp put_missing(new) do
+    with {:ok, current} <- replay_missing(new),
+         changes = new.format.diff(current.content, new.content, new.path),
+         {:ok, current} <- append_changes(current, {"edit", changes}, note: "replaced the file"),
+         do: write_file(%{current | content: new.content})
+  end
+
+  @doc """
+  Applies changes that were made to an earlier state, such as `origin`, to the current one. Error: `:conflict` if
+  another program has changed the same places differently. Options: see `edit/3`.
+  """
+  @spec merge(t(), [Changes.change()], keyword()) :: result()
+  def merge(document, changes, opts \\ []),
+    do: edit(document, &merge_content(document, &1, changes), opts)
+
+  @doc "Applies changes to a content; the error `:conflict` names the first change that does not fit."
+  @spec merge_content(t(), content(), [Changes.change()]) ::
+          {:ok, content()} | {:error, Error.t()}
+  def merge_content(document, content, changes) do
+    with {:conflict, change} <- apply_changes(%{document | content: content}, changes) do
+      {:error,
+       Error.new(:conflict, "cannot merge the edit: #{Description.describe_change(change)}",
+         why: "another program has changed the same place differently in the meantime",
+         fix: "look at the current state, and repeat the edit if it is still wanted",
+         meta: %{change: change}
+       )}
+    end
+  end
+
+  @doc "Writes the file if it does not contain all operations of the log."
+  @spec write(t()) :: result()
+  def write(document), do: edit(document, &{:ok, &1}, write: true)
+
+  @doc "Returns the entries of the log, oldest first."
+  @spec history(t()) :: {:ok, [Entry.t()]} | {:error, Error.t()}
+  def history(document) do
+    with {:ok, _log, entries} <- EditLog.read_all(document.path), do: {:ok, entries}
+  end
+
+  @doc "Returns the content of an earlier version. Version 0 is the content before the first operation."
+  @spec content_at(t(), non_neg_integer()) :: {:ok, content()} | {:error, Error.t()}
+  def content_at(%{log: %{id: nil}} = document, _version), do: {:ok, document.content}
+
+  def content_at(document, version) do
+    with {:ok, log, entries} <- EditLog.read_all(document.path),
+         {:ok, json} <- replay_json(log, Enum.take(entries, version)),
+         do: from_json(document, json)
+  end
+end
