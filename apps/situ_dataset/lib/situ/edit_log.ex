@@ -198,6 +198,31 @@ defmodule Situ.EditLog do
     end
   end
 
+  @doc "Returns entries before the position, oldest first: those in the last `bytes` bytes before it."
+  @spec read_before(t(), pos_integer()) :: [Entry.t()]
+  def read_before(log, bytes) do
+    first = max(log.offset - bytes, 0)
+
+    with true <- log.n > 0,
+         {:ok, device} <- :file.open(log.path, [:read, :raw, :binary]) do
+      found = :file.pread(device, first, log.offset - first)
+      _ = :file.close(device)
+      parse_before(found)
+    else
+      _ -> []
+    end
+  end
+
+  # The first line is the header or was cut.
+  defp parse_before({:ok, bytes}) do
+    case :binary.split(bytes, "\n") do
+      [_, rest] -> Lines.parse_valid(rest)
+      [_] -> []
+    end
+  end
+
+  defp parse_before(_), do: []
+
   @doc "Returns the position and all entries of a document's log, from the first one."
   @spec read_all(Path.t()) :: {:ok, t(), [Entry.t()]} | {:error, Error.t()}
   def read_all(document) do

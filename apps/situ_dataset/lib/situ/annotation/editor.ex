@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Editor do
   @moduledoc """
-  Edits one annotation stream: undo and redo, several users, and a journal that survives a crash.
+  Edits one annotation stream: undo and redo, several users and programs, and a log that survives a crash.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-doc-editor/annotation")
       iex> alias Situ.Annotation.{Editor, Layer, Schema}
@@ -8,7 +8,7 @@ defmodule Situ.Annotation.Editor do
       iex> {:ok, _} = Editor.edit(editor, &Layer.add(&1, Situ.Annotation.new(0, 10, "P1")))
       iex> {:ok, layer} = Editor.undo(editor)
       iex> {Layer.annotations(layer), Editor.status(editor)}
-      {[], %{undo: 0, redo: 1, unsaved?: true, recovered: 0, shadowed: nil}}
+      {[], %{undo: 0, redo: 1, unsaved?: true, recovered: 0, version: 2, shadowed: nil}}
       iex> {:ok, _} = Editor.redo(editor)
       iex> {:ok, folder} = Editor.save(editor)
       iex> {Path.basename(folder), Editor.status(editor).unsaved?}
@@ -17,29 +17,30 @@ defmodule Situ.Annotation.Editor do
       iex> File.rm_rf!(Path.dirname(path)) != []
       true
 
-  Every transaction is appended to `ROOT/NAME.STREAM.journal` and is on disk before `edit/2` returns. `save/1`
-  writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal. An editor that starts
-  after a crash replays the journal; `recovered` in `status/1` is the number of replayed transactions. Subscribers
-  receive `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid,
-  :saved}`.
+  Every edit is an operation in the log `ROOT/NAME.STREAM.edits`, and is on disk before `edit/3` returns. `save/1` writes
+  a new version of the store (`Situ.Annotation.Recording`) for programs that read annotations. An editor that starts
+  reads the newest version and the operations after it; `recovered` in `status/1` is the number of these operations.
+  Subscribers receive `{:situ_annotation, pid, transaction}` after every edit, undo and redo, `{:situ_annotation, pid,
+  :reloaded}` after edits of other programs, and `{:situ_annotation, pid, :saved}`.
 
-  Only one editor at a time can have unsaved edits of a stream, across all computers that share the folder. From its
-  first edit until its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Other editors see the last saved
-  version; their edits fail with `:being_edited`, which reports the program, process and computer that hold the lock,
-  and since when. The operating system releases the lock of a program that dies, so that
-  another editor can recover its journal.
+  Several programs may edit a stream at the same time, also on different computers that share the folder. An edit takes
+  a lock, reads the operations of the others, and applies to the result, so edits of different annotations, and of
+  different fields of one annotation, are merged. With `version:`, an edit is refused if another program has changed
+  the same fields since that version.
 
-  Editors of different streams in one store save independently: a new version includes the latest saved version of
-  every other stream, even if another operating-system process saved it. If another program has saved the same
-  stream, the next edit (or `refresh/1`) loads its annotations and schema and reapplies the unsaved edits. If the
-  edits cannot be reapplied, they are kept: the next save writes them as the newest version, and `shadowed` in
+  Undo and redo apply to the edits of this user with any program on this computer, also after a restart. Every version
+  can be listed, compared and restored (`Situ.Annotation.History`).
+
+  If another program writes a version of the store without the log, such as an import, its changes become an operation.
+  If they contradict the log, the log is kept: the next save writes it as the newest version, and `shadowed` in
   `status/1` names the other program's version, which is kept, too.
   """
   # See docs/adr/0091-annotations-are-streams-with-versions.md.
   use GenServer
-  alias Situ.Annotation.{EditorState, Journal, Layer, Review, Schema, StoreVersions}
+  alias Situ.Annotation.{EditMerge, Layer, LayerDocument, LayerOperation, Schema}
+  alias Situ.EditLog
+  alias Situ.EditLog.{Entry, Versions}
   alias Situ.Error
-  alias Situ.Store.FileLock
 
   @type server :: GenServer.server()
 
@@ -47,25 +48,23 @@ defmodule Situ.Annotation.Editor do
   Starts an editor. Options: `path:` (the annotation store, `ROOT/NAME`; the editor opens its newest version),
   `stream:`, `schema:` (for a stream that does not exist yet), `save_on_leave:` (whether the editor saves when the last
   subscriber that has edited ends, default `false`), and GenServer options such as `name:`. Errors: `:no_schema`,
-  `:bad_journal` and the errors of the store.
+  `:bad_log`, `:bad_journal` (of an earlier release), and the errors of the store.
   """
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
     {own_opts, opts} = Keyword.split(opts, [:path, :stream, :schema, :save_on_leave])
     {path, stream} = {Keyword.fetch!(own_opts, :path), Keyword.fetch!(own_opts, :stream)}
 
-    with {:ok, state} <- EditorState.open_state(path, stream, own_opts[:schema]) do
-      state =
-        Map.merge(state, %{
-          save_on_leave?: own_opts[:save_on_leave] || false,
-          writers: [],
-          revision: :counters.new(1, [])
-        })
+    with {:ok, document} <- LayerDocument.open(path, stream, own_opts[:schema]) do
+      state = %{
+        document: document,
+        save_on_leave?: own_opts[:save_on_leave] || false,
+        subscribers: %{},
+        writers: [],
+        revision: :counters.new(1, [])
+      }
 
-      started = GenServer.start_link(__MODULE__, state, opts)
-      # Starting fails if the name is taken.
-      if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
-      started
+      GenServer.start_link(__MODULE__, state, opts)
     end
   end
 
@@ -78,8 +77,8 @@ defmodule Situ.Annotation.Editor do
   def revision(server), do: GenServer.call(server, :revision)
 
   @doc """
-  Returns `undo` and `redo` (the number of steps in each direction), `unsaved?`, `recovered` (the number of
-  transactions recovered from the journal at the start) and `shadowed`.
+  Returns `undo` and `redo` (the number of steps in each direction), `unsaved?`, `recovered` (the number of operations
+  at the start that were not in a version), `version` (the number of the last operation) and `shadowed`.
   """
   @spec status(server()) :: map()
   def status(server), do: GenServer.call(server, :status)
@@ -87,12 +86,19 @@ defmodule Situ.Annotation.Editor do
   @doc """
   Applies an edit and returns `{:ok, layer}`. The edit is a function `layer -> {:ok, layer, transaction} |
   {:error, error}`, from `Situ.Annotation.Layer` or `Situ.Annotation.Edit`, for example. Undone edits can no longer be
-  redone.
+  redone. Options: `by:`, the name of the person in the history, and `version:`, the version that the person has seen.
+  Errors: those of the function, `:stale_edit` if another user has changed the same fields since that version,
+  `:not_saved`, `:in_use`, and `:no_locks`.
   """
-  @spec edit(server(), (Layer.t() -> Layer.edited())) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def edit(server, fun) when is_function(fun, 1), do: GenServer.call(server, {:edit, fun}, 60_000)
+  @spec edit(server(), (Layer.t() -> Layer.edited()), keyword()) ::
+          {:ok, Layer.t()} | {:error, Error.t()}
+  def edit(server, fun, opts \\ []) when is_function(fun, 1),
+    do: GenServer.call(server, {:edit, fun, opts}, 60_000)
 
-  @doc "Undoes the last edit. Error: `:nothing_to_undo`."
+  @doc """
+  Undoes this user's last edit. Errors: `:nothing_to_undo`, and `:stale_edit` if someone has changed the same annotation
+  since.
+  """
   @spec undo(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def undo(server), do: GenServer.call(server, :undo, 60_000)
 
@@ -102,7 +108,7 @@ defmodule Situ.Annotation.Editor do
 
   @doc """
   Changes the schema of the stream, saves it and returns `{:ok, folder}`. `fun` first adapts every annotation to the
-  new schema. Earlier edits can no longer be undone. If the schema does not allow an annotation, nothing changes and
+  new schema. The change can be undone. If the schema does not allow an annotation, nothing changes and
   the error names the first such annotation.
   """
   @spec put_schema(server(), Schema.t(), (Situ.Annotation.t() -> Situ.Annotation.t())) ::
@@ -110,11 +116,18 @@ defmodule Situ.Annotation.Editor do
   def put_schema(server, %Schema{} = schema, fun \\ & &1),
     do: GenServer.call(server, {:put_schema, schema, fun}, 600_000)
 
+  @doc """
+  Restores the layer of an earlier version, as a new operation that can be undone. `version` is a number.
+  """
+  @spec restore(server(), non_neg_integer(), keyword()) :: {:ok, Layer.t()} | {:error, Error.t()}
+  def restore(server, version, opts \\ []),
+    do: GenServer.call(server, {:restore, version, opts}, 60_000)
+
   @doc "Writes a new version of the store and returns `{:ok, folder}`. Earlier edits can still be undone."
   @spec save(server()) :: {:ok, Path.t()} | {:error, Error.t()}
   def save(server), do: GenServer.call(server, :save, 600_000)
 
-  @doc "Loads a version that another program has saved; subscribers receive `{:situ_annotation, pid, :reloaded}`."
+  @doc "Reads the edits of other programs; subscribers receive `{:situ_annotation, pid, :reloaded}`."
   @spec refresh(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def refresh(server), do: GenServer.call(server, :refresh, 60_000)
 
@@ -122,27 +135,27 @@ defmodule Situ.Annotation.Editor do
   @spec subscribe(server()) :: :ok
   def subscribe(server), do: GenServer.call(server, :subscribe)
 
-  @doc "Stops the editor; unsaved edits stay in the journal."
+  @doc "Stops the editor; edits that are not in a version stay in the log."
   @spec stop(server()) :: :ok
   def stop(server), do: GenServer.stop(server)
 
   @impl true
-  def init(state) do
-    if state.lock, do: FileLock.take_ownership(state.lock)
-    {:ok, state}
-  end
+  def init(state), do: {:ok, state}
 
   @impl true
-  def handle_call(:layer, _from, state), do: {:reply, state.layer, state}
+  def handle_call(:layer, _from, state), do: {:reply, state.document.layer, state}
   def handle_call(:revision, _from, state), do: {:reply, :counters.get(state.revision, 1), state}
 
-  def handle_call(:status, _from, state) do
+  def handle_call(:status, _from, %{document: document} = state) do
+    {undo, redo} = undo_stacks(document)
+
     status = %{
-      undo: length(state.undo),
-      redo: length(state.redo),
-      unsaved?: state.unsaved?,
-      recovered: state.recovered,
-      shadowed: state.shadowed
+      undo: length(undo),
+      redo: length(redo),
+      unsaved?: LayerDocument.unsaved?(document),
+      recovered: document.recovered,
+      version: document.log.n,
+      shadowed: document.shadowed
     }
 
     {:reply, status, state}
@@ -154,81 +167,97 @@ defmodule Situ.Annotation.Editor do
   end
 
   def handle_call(:refresh, _from, state) do
-    case load_current(state) do
-      {:ok, state} -> {:reply, {:ok, state.layer}, state}
+    case LayerDocument.refresh(state.document) do
+      {:ok, document} -> {:reply, {:ok, document.layer}, put_document(state, document)}
       error -> {:reply, error, state}
     end
   end
 
-  def handle_call({:edit, fun}, {pid, _}, state) do
+  def handle_call({:edit, fun, opts}, {pid, _}, state) do
     state
     |> remember_writer(pid)
-    |> run_locked_edit(fn state ->
-      with {:ok, %Layer{}, transaction} <- run_edit(fun, state.layer),
-           {:ok, state} <- apply_transaction(state, transaction),
-           do: {:ok, %{state | undo: [transaction | state.undo], redo: []}}
+    |> run_locked(fn document ->
+      with {:ok, %Layer{}, transaction} <- run_edit(fun, document.layer),
+           :ok <- EditMerge.check_version(document.entries, transaction, opts[:version]),
+           do: append(document, "edit", LayerOperation.encode_transaction(transaction), opts)
     end)
   end
 
-  def handle_call(:undo, _from, state),
-    do: run_locked_edit(state, &step_history(&1, :undo, :redo))
+  def handle_call(:undo, _from, state), do: run_locked(state, &step_back/1)
+  def handle_call(:redo, _from, state), do: run_locked(state, &step_forward/1)
 
-  def handle_call(:redo, _from, state),
-    do: run_locked_edit(state, &step_history(&1, :redo, :undo))
+  def handle_call({:restore, version, opts}, _from, state) do
+    run_locked(state, fn document ->
+      with {:ok, layer} <- LayerDocument.layer_at(document, version) do
+        operation = LayerOperation.diff_layers(document.layer, layer)
+        append(document, "restore", operation, [{:of, version} | opts])
+      end
+    end)
+  end
 
   def handle_call({:put_schema, schema, fun}, _from, state) do
     changed =
-      run_locked_edit(state, fn state ->
-        # The new schema takes effect only after it was written to disk.
-        with {:ok, layer} <- convert_layer(state.layer, schema, fun),
-             do: save_version(%{state | layer: layer, undo: [], redo: []})
+      run_locked(state, fn document ->
+        with {:ok, layer} <- convert_layer(document.layer, schema, fun),
+             operation = LayerOperation.diff_layers(document.layer, layer),
+             {:ok, document} <- append(document, "edit", operation, []),
+             do: LayerDocument.write_version(document)
       end)
 
-    with {:reply, {:ok, _}, state} <- changed, do: {:reply, {:ok, state.base}, state}
+    reply_folder(changed, state)
   end
 
-  def handle_call(:save, _from, state) do
-    case save_version(state) do
-      {:ok, state} -> {:reply, {:ok, state.base}, EditorState.unlock_journal(state)}
-      error -> {:reply, error, state}
-    end
+  def handle_call(:save, _from, state),
+    do: state |> run_locked(&LayerDocument.write_version/1) |> reply_folder(state)
+
+  defp reply_folder({:reply, {:ok, _}, state}, before) do
+    if state.document.base != before.document.base, do: notify_subscribers(state, :saved)
+    {:reply, {:ok, state.document.base}, state}
   end
 
-  # Only one editor at a time may write to the journal. The editor first loads the versions that other programs have
-  # saved, and keeps them even if the edit then fails.
-  defp run_locked_edit(state, fun) do
-    with {:ok, locked} <- EditorState.lock_journal(state) do
-      # The journal contained edits of an editor that was killed.
-      if locked.layer != state.layer, do: notify_subscribers(locked, :reloaded)
+  defp reply_folder(reply, _before), do: reply
 
-      case load_current(locked) do
-        {:ok, state} -> state |> fun.() |> reply_and_unlock(state)
-        error -> reply_and_unlock(error, locked)
+  # The editor first reads the edits of other programs, and keeps them even if its own edit then fails.
+  defp run_locked(state, fun) do
+    EditLog.with_lock(state.document.document, fn ->
+      with {:ok, document} <- LayerDocument.catch_up(state.document) do
+        state = put_document(state, document)
+
+        case fun.(document) do
+          {:ok, later} -> {:reply, {:ok, later.layer}, put_edit(state, later)}
+          error -> {:reply, error, state}
+        end
       end
-    else
+    end)
+    |> case do
+      {:reply, _, _} = reply -> reply
       error -> {:reply, error, state}
     end
   end
 
-  defp reply_and_unlock({:ok, state}, _before),
-    do: {:reply, {:ok, state.layer}, EditorState.unlock_journal(state)}
+  defp put_document(%{document: before} = state, document) do
+    state = %{state | document: document}
 
-  defp reply_and_unlock(error, state), do: {:reply, error, EditorState.unlock_journal(state)}
+    if document.log != before.log or document.base != before.base,
+      do: notify_subscribers(state, :reloaded)
 
-  # Without the lock, the journal belongs to another editor and must not be removed.
-  defp save_version(state) do
-    with {:ok, state} <- StoreVersions.write_version(state) do
-      if state.lock, do: File.rm(state.journal)
-      notify_subscribers(state, :saved)
-      {:ok, %{state | unsaved?: false}}
-    end
+    state
   end
 
-  defp load_current(state) do
-    with {:ok, now} <- StoreVersions.load_newest(state) do
-      if now.base != state.base, do: notify_subscribers(now, :reloaded)
-      {:ok, now}
-    end
+  defp put_edit(%{document: %{entries: before}} = state, document) do
+    state = %{state | document: document}
+
+    with [%Entry{} = entry | _] when document.entries != before <- document.entries,
+         {:ok, transaction} <- LayerOperation.parse_transaction(entry.do),
+         do: notify_subscribers(state, transaction)
+
+    state
+  end
+
+  defp append(document, kind, operation, opts) do
+    if LayerOperation.empty?(operation),
+      do: {:ok, document},
+      else: LayerDocument.append(document, kind, operation, opts)
   end
 
   defp convert_layer(layer, schema, fun) do
@@ -247,32 +276,23 @@ defmodule Situ.Annotation.Editor do
       {:error, Error.new(:edit_failed, "the edit failed", why: Exception.message(exception))}
   end
 
-  defp step_history(state, from, to) do
-    case Map.fetch!(state, from) do
-      [] ->
-        {:error, empty_history_error(from)}
+  defp undo_stacks(document),
+    do: document.entries |> Enum.reverse() |> Versions.undo_stacks(Entry.new("edit", %{}))
 
-      [transaction | rest] ->
-        change = if from == :undo, do: Layer.invert_transaction(transaction), else: transaction
+  defp step_back(document) do
+    case undo_stacks(document) do
+      {[entry | _], _} ->
+        LayerDocument.append(document, "undo", LayerOperation.invert(entry.do), of: entry.n)
 
-        with {:ok, state} <- apply_transaction(state, change),
-             state = if(from == :undo, do: forget_added(state, transaction), else: state),
-             do: {:ok, state |> Map.put(from, rest) |> Map.update!(to, &[transaction | &1])}
+      {[], _} ->
+        {:error, Error.new(:nothing_to_undo, "there is nothing to undo")}
     end
   end
 
-  defp forget_added(state, transaction),
-    do: update_in(state.layer.review, &Review.forget_added(&1, transaction))
-
-  defp empty_history_error(:undo), do: Error.new(:nothing_to_undo, "there is nothing to undo")
-  defp empty_history_error(:redo), do: Error.new(:nothing_to_redo, "there is nothing to redo")
-
-  # The transaction is written to disk before it takes effect in memory and subscribers are notified.
-  defp apply_transaction(state, transaction) do
-    with {:ok, layer} <- Layer.apply_transaction(state.layer, transaction),
-         :ok <- Journal.append_transaction(state.journal, {state.base, state.digest}, transaction) do
-      notify_subscribers(state, transaction)
-      {:ok, %{state | layer: layer, unsaved?: true}}
+  defp step_forward(document) do
+    case undo_stacks(document) do
+      {_, [entry | _]} -> LayerDocument.append(document, "redo", entry.do, of: entry.n)
+      {_, []} -> {:error, Error.new(:nothing_to_redo, "there is nothing to redo")}
     end
   end
 
@@ -293,11 +313,15 @@ defmodule Situ.Annotation.Editor do
 
   def handle_info(_, state), do: {:noreply, state}
 
-  # If it cannot save, the edits remain in the journal.
-  defp save_on_leave(%{save_on_leave?: true, unsaved?: true, writers: []} = state) do
-    case save_version(state) do
-      {:ok, state} -> EditorState.unlock_journal(state)
-      {:error, _} -> state
+  # If it cannot save, the edits remain in the log.
+  defp save_on_leave(%{save_on_leave?: true, writers: []} = state) do
+    if LayerDocument.unsaved?(state.document) do
+      {:reply, _, state} =
+        state |> run_locked(&LayerDocument.write_version/1) |> reply_folder(state)
+
+      state
+    else
+      state
     end
   end
 

@@ -12,6 +12,7 @@ defmodule Situ.Annotation.Recording do
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Psi, Review, Schema}
   alias Situ.Dataset.StoreVersion
+  alias Situ.EditLog.Mark
 
   @type_wanted {:list, Annotation}
 
@@ -113,14 +114,24 @@ defmodule Situ.Annotation.Recording do
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
-    with {:ok, draft} <- write_draft(layers, path), do: StoreVersion.publish_draft(draft, path)
+    unmarked = Map.new(layers, fn {stream, layer} -> {stream, {layer, nil}} end)
+    with {:ok, draft} <- write_draft(unmarked, path), do: StoreVersion.publish_draft(draft, path)
   end
 
-  @doc """
-  Writes several layers as the version after the folder `base` (`nil` for the first version). Returns the error
-  `:newer_version` and writes nothing if another program has saved a version after `base`.
-  """
-  @spec write_after(%{String.t() => Layer.t()}, Path.t(), Path.t() | nil) ::
+  @doc false
+  # Returns the position in the log of edits that a stored stream contains (`Situ.Annotation.StoreVersions`).
+  @spec read_mark(Store.t(), Store.StreamInfo.t()) :: map() | nil
+  def read_mark(store, info) do
+    case Store.metadata(store, info) do
+      {:ok, %{"edits" => mark}} -> Mark.parse(mark)
+      _ -> nil
+    end
+  end
+
+  @doc false
+  # Writes several layers with their marks as the version after the folder `base` (`nil` for the first version).
+  # Returns the error `:newer_version` and writes nothing if another program has saved a version after `base`.
+  @spec write_after(%{String.t() => {Layer.t(), map() | nil}}, Path.t(), Path.t() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def write_after(layers, path, base) do
     path = Path.expand(path)
@@ -154,9 +165,9 @@ defmodule Situ.Annotation.Recording do
 
   defp write_streams(writer, []), do: Store.Writer.close(writer)
 
-  defp write_streams(writer, [{stream, layer} | rest]) do
+  defp write_streams(writer, [{stream, {layer, mark}} | rest]) do
     messages = layer |> Layer.annotations() |> Annotation.to_messages()
-    options = [type: @type_wanted, metadata: layer_metadata(layer)]
+    options = [type: @type_wanted, metadata: layer |> layer_metadata() |> put_mark(mark)]
 
     with {:ok, stream} <- Store.Writer.stream(writer, stream, options),
          {:ok, stream} <- Store.Writer.append(stream, messages),
@@ -170,6 +181,9 @@ defmodule Situ.Annotation.Recording do
 
   defp layer_metadata(%{schema: schema, review: review}),
     do: Map.put(Schema.to_json(schema), "review", Review.to_json(review))
+
+  defp put_mark(metadata, nil), do: metadata
+  defp put_mark(metadata, mark), do: Map.put(metadata, "edits", mark)
 
   defp end_time([]), do: 0
   defp end_time(messages), do: List.last(messages).originating_time

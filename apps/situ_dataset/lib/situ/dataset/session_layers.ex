@@ -27,10 +27,9 @@ defmodule Situ.Dataset.SessionLayers do
   same name.
   """
   # See docs/adr/0169-the-layers-of-a-session-are-one-store.md.
-  alias Situ.Annotation.{EditorState, Layer, Recording, StoreVersions}
+  alias Situ.Annotation.{Layer, LayerDocument, Recording}
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{LayersPartition, NameRules, OpenSession, Partition, Session}
-  alias Situ.Store.FileLock
 
   @type layer_info :: %{partition: String.t(), stream: String.t(), editable?: boolean()}
 
@@ -99,27 +98,7 @@ defmodule Situ.Dataset.SessionLayers do
   """
   @spec write_layer(Path.t(), String.t(), Layer.t()) :: :ok | {:error, Error.t()}
   def write_layer(path, name, %Layer{} = layer) do
-    with :ok <- NameRules.check_valid(name, "layer"),
-         {:ok, state} <- EditorState.open_state(path, name, layer.schema),
-         :ok <- check_new(state),
-         {:ok, written} <- StoreVersions.write_version(%{state | layer: layer}) do
-      # If another program created the layer in the meantime, its layer was kept.
-      if written.layer == layer, do: :ok, else: {:error, exists_error(name)}
-    end
-  end
-
-  # An unsaved layer is the result of a crash. Its edits are in a journal, which the next editor recovers.
-  defp check_new(%{digest: nil, unsaved?: false}), do: :ok
-
-  defp check_new(state) do
-    if state.lock, do: FileLock.release(state.lock)
-    {:error, exists_error(state.stream)}
-  end
-
-  defp exists_error(name) do
-    Error.new(:layer_exists, "the session already has a layer named #{inspect(name)}",
-      fix: "choose another name, or open that layer"
-    )
+    with :ok <- NameRules.check_valid(name, "layer"), do: LayerDocument.create(path, name, layer)
   end
 
   @doc """

@@ -8,7 +8,7 @@ defmodule Situ.EditLog.Entry do
   @kinds ~w(edit undo redo name restore outside)
 
   @enforce_keys [:kind, :do]
-  defstruct [:kind, :do, :n, :at, :by, :program, :host, :of, :note]
+  defstruct [:kind, :do, :n, :at, :by, :user, :program, :host, :of, :note]
 
   @type t :: %__MODULE__{
           kind: String.t(),
@@ -16,6 +16,7 @@ defmodule Situ.EditLog.Entry do
           n: pos_integer() | nil,
           at: String.t() | nil,
           by: String.t() | nil,
+          user: String.t() | nil,
           program: String.t() | nil,
           host: String.t() | nil,
           of: term(),
@@ -23,8 +24,8 @@ defmodule Situ.EditLog.Entry do
         }
 
   @doc """
-  Builds an entry of this program. Options: `by:` (default: the user of this process), `of:`, `note:`, and `at:`
-  (default: the time now).
+  Builds an entry of this program. Options: `by:` (the person, if it is not the user of the computer), `of:`, `note:`,
+  `program:`, and `at:` (default: the time now).
   """
   @spec new(String.t(), map(), keyword()) :: t()
   def new(kind, operation, opts \\ []) when kind in @kinds do
@@ -34,7 +35,8 @@ defmodule Situ.EditLog.Entry do
       kind: kind,
       do: operation,
       at: opts[:at] || author.since,
-      by: opts[:by] || author.user,
+      by: opts[:by],
+      user: author.user,
       program: opts[:program] || author.program,
       host: author.host,
       of: opts[:of],
@@ -42,15 +44,15 @@ defmodule Situ.EditLog.Entry do
     }
   end
 
-  @doc "Returns whether two entries were made by the same person with the same program, on the same computer."
-  @spec same_author?(t(), t()) :: boolean()
-  def same_author?(a, b), do: {a.by, a.program, a.host} == {b.by, b.program, b.host}
+  @doc "Returns whether the same user made two entries on the same computer, with any program."
+  @spec same_user?(t(), t()) :: boolean()
+  def same_user?(a, b), do: {a.user, a.host} == {b.user, b.host}
 
   @doc "Converts an entry to a JSON object; the number is first."
   @spec to_json(t()) :: {[{String.t(), term()}]}
   def to_json(entry) do
     members =
-      for key <- [:n, :kind, :at, :by, :program, :host, :of, :note, :do],
+      for key <- [:n, :kind, :at, :by, :user, :program, :host, :of, :note, :do],
           value = Map.fetch!(entry, key),
           value != nil,
           do: {Atom.to_string(key), value}
@@ -62,12 +64,12 @@ defmodule Situ.EditLog.Entry do
   @spec parse(map()) :: {:ok, t()} | :error
   def parse(%{"n" => n, "kind" => kind, "do" => %{} = operation} = json)
       when is_integer(n) and kind in @kinds do
-    texts = for key <- ~w(at by program host note), do: json[key]
+    texts = for key <- ~w(at by user program host note), do: json[key]
 
     if Enum.all?(texts, &(&1 == nil or is_binary(&1))) do
-      [at, by, program, host, note] = texts
+      [at, by, user, program, host, note] = texts
       entry = %__MODULE__{kind: kind, do: operation, n: n, of: json["of"], note: note}
-      {:ok, %{entry | at: at, by: by, program: program, host: host}}
+      {:ok, %{entry | at: at, by: by, user: user, program: program, host: host}}
     else
       :error
     end

@@ -68,4 +68,13 @@ defmodule Situ.EditLog.Lines do
       _ -> {:damaged, size}
     end
   end
+
+  @doc "Returns the entries of all valid lines."
+  @spec parse_valid(binary()) :: [Entry.t()]
+  def parse_valid(bytes) do
+    for line <- :binary.split(bytes, "\n", [:global]),
+        {:ok, json} <- [decode(line)],
+        {:ok, entry} <- [Entry.parse(json)],
+        do: entry
+  end
 end

@@ -38,30 +38,27 @@ defmodule Situ.EditLog.Versions do
   end
 
   @doc """
-  Returns the edits that the author of `mine` can undo and redo, newest first. Edits that this person did not make, and
+  Returns the edits that the user of `mine` can undo and redo, newest first. Edits of other users, and
   edits before the oldest entry in the list, are not included.
   """
   @spec undo_stacks([Entry.t()], Entry.t()) :: {undo :: [Entry.t()], redo :: [Entry.t()]}
   def undo_stacks(entries, mine),
-    do: entries |> Enum.filter(&own?(&1, mine)) |> Enum.reduce({[], []}, &push_entry(&2, &1))
+    do:
+      entries
+      |> Enum.filter(&Entry.same_user?(&1, mine))
+      |> Enum.reduce({[], []}, &push_entry(&2, &1))
 
-  @doc "Returns whether a person made an entry, with any program on the same computer."
-  @spec own?(Entry.t(), Entry.t()) :: boolean()
-  def own?(entry, mine), do: {entry.by, entry.host} == {mine.by, mine.host}
+  defp push_entry({undo, redo}, %{kind: "undo", of: n}), do: move_entry(undo, redo, n)
 
-  @doc "Updates the edits that can be undone and redone with a new entry of their author."
-  @spec push_entry({[Entry.t()], [Entry.t()]}, Entry.t()) :: {[Entry.t()], [Entry.t()]}
-  def push_entry({undo, redo}, %{kind: "undo", of: n}), do: move_entry(undo, redo, n)
-
-  def push_entry({undo, redo}, %{kind: "redo", of: n}) do
+  defp push_entry({undo, redo}, %{kind: "redo", of: n}) do
     {redo, undo} = move_entry(redo, undo, n)
     {undo, redo}
   end
 
-  def push_entry({undo, _redo}, %{kind: kind} = entry) when kind in ["edit", "restore"],
+  defp push_entry({undo, _redo}, %{kind: kind} = entry) when kind in ["edit", "restore"],
     do: {[entry | undo], []}
 
-  def push_entry(stacks, _entry), do: stacks
+  defp push_entry(stacks, _entry), do: stacks
 
   defp move_entry(from, to, n) do
     case Enum.split_with(from, &(&1.n == n)) do

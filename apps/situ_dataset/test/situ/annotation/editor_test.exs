@@ -3,6 +3,7 @@ defmodule Situ.Annotation.EditorTest do
   import Situ.Annotation.Test.Annotating
   alias Situ.{Annotation, Store}
   alias Situ.Annotation.{Edit, Editor, Layer, Recording}
+  alias Situ.EditLog
 
   doctest Situ.Annotation.Editor
 
@@ -13,6 +14,7 @@ defmodule Situ.Annotation.EditorTest do
       %{tmp_dir: root} ->
         %{
           path: Path.join(root, "annotation"),
+          log: Path.join(root, "annotation.Speech.edits"),
           journal: Path.join(root, "annotation.Speech.journal")
         }
 
@@ -200,7 +202,7 @@ defmodule Situ.Annotation.EditorTest do
 
   test "a killed editor loses no edit, and the next one continues", %{
     path: path,
-    journal: journal
+    log: log
   } do
     Process.flag(:trap_exit, true)
     editor = start(path)
@@ -211,7 +213,7 @@ defmodule Situ.Annotation.EditorTest do
     assert_receive {:EXIT, ^editor, :killed}
 
     # The line is truncated in the middle of a write.
-    File.write!(journal, "[[9, nul", [:append])
+    File.write!(log, "0f9c7ae0 {\"n\":4,\"ki", [:append])
     editor = start(path)
     assert %{recovered: 3, unsaved?: true} = Editor.status(editor)
     assert spans(Editor.current_layer(editor)) == [{0, 10}]
@@ -221,69 +223,106 @@ defmodule Situ.Annotation.EditorTest do
     assert spans(Editor.current_layer(start(path))) == [{0, 10}, {30, 40}]
   end
 
-  test "does not apply a journal twice if the editor is killed after a save", ctx do
+  test "does not apply operations twice if the editor is killed after a save", ctx do
     editor = start(ctx.path)
     {:ok, _} = add(editor, 0, 10)
-    kept = File.read!(ctx.journal)
     {:ok, _} = Editor.save(editor)
-    refute File.exists?(ctx.journal)
+    {:ok, _} = add(editor, 10, 20)
+    {:ok, _} = Editor.save(editor)
     :ok = Editor.stop(editor)
-    File.write!(ctx.journal, kept)
     editor = start(ctx.path)
 
     assert {spans(Editor.current_layer(editor)), Editor.status(editor).recovered} ==
-             {[{0, 10}], 0}
+             {[{0, 10}, {10, 20}], 0}
+  end
+
+  test "undo continues after a restart, also of saved edits", %{path: path} do
+    editor = start(path)
+    {:ok, _} = add(editor, 0, 10)
+    {:ok, _} = Editor.save(editor)
+    {:ok, _} = add(editor, 10, 20)
+    {:ok, _} = Editor.undo(editor)
+    :ok = Editor.stop(editor)
+    editor = start(path)
+    assert %{undo: 1, redo: 1} = Editor.status(editor)
+    {:ok, layer} = Editor.redo(editor)
+    assert spans(layer) == [{0, 10}, {10, 20}]
+    {:ok, _} = Editor.undo(editor)
+    {:ok, layer} = Editor.undo(editor)
+    assert spans(layer) == []
+    assert {:error, %{code: :nothing_to_undo}} = Editor.undo(editor)
+  end
+
+  test "an earlier version is restored by a new operation", %{path: path} do
+    editor = start(path)
+    for t <- [0, 10, 20], do: {:ok, _} = add(editor, t, t + 5)
+    {:ok, _} = Editor.save(editor)
+    {:ok, _} = Editor.edit(editor, &Layer.remove(&1, [1, 2]))
+    {:ok, layer} = Editor.restore(editor, 2)
+    assert spans(layer) == [{0, 5}, {10, 15}]
+    {:ok, layer} = Editor.undo(editor)
+    assert spans(layer) == [{20, 25}]
+  end
+
+  test "a changed schema can be undone", %{path: path} do
+    editor = start(path)
+    {:ok, _} = add(editor, 0, 10)
+
+    {:ok, _} =
+      Editor.put_schema(editor, Situ.Annotation.Schema.text("Words"), &%{&1 | values: %{}})
+
+    :ok = Editor.stop(editor)
+    editor = start(path)
+    {:ok, layer} = Editor.undo(editor)
+    assert {layer.schema, spans(layer)} == {schema(), [{0, 10}]}
   end
 
   describe "two editors of one stream" do
-    test "allow unsaved edits of one at a time, and report who edits", %{path: path} do
+    test "merge their edits", %{path: path} do
       [anna, ben] = for _ <- 1..2, do: start(path)
       {:ok, _} = add(anna, 0, 10)
-      assert {:error, %{code: :being_edited} = error} = add(ben, 20, 30)
-      assert error.why =~ "process #{System.pid()} on"
-      assert {:error, %{code: :being_edited}} = Editor.put_schema(ben, schema())
-      # The other editor's unsaved edits are not visible and are not taken for a crash.
-      carl = start(path)
-
-      assert {[], %{recovered: 0, unsaved?: false}} =
-               {spans(Editor.current_layer(carl)), Editor.status(carl)}
-
-      {:ok, _} = add(anna, 10, 20)
-      {:ok, _} = Editor.save(anna)
-      {:ok, layer} = add(ben, 20, 30)
-      assert spans(layer) == [{0, 10}, {10, 20}, {20, 30}]
-      assert {:error, %{code: :being_edited}} = add(anna, 40, 50)
-      {:ok, _} = Editor.save(ben)
-      {:ok, _} = add(anna, 40, 50)
-      {:ok, _} = Editor.save(anna)
-      assert stored(path, "Speech") == [{0, 10}, {10, 20}, {20, 30}, {40, 50}]
-    end
-
-    test "keep the other's edits on a save without edits", %{path: path, journal: journal} do
-      Process.flag(:trap_exit, true)
-      [anna, ben] = for _ <- 1..2, do: start(path)
-      {:ok, _} = add(anna, 0, 10)
-      {:ok, _} = Editor.save(ben)
-      assert File.exists?(journal)
-      {:ok, _} = add(anna, 10, 20)
-      Process.exit(anna, :kill)
-      assert_receive {:EXIT, ^anna, :killed}
-      # A running editor recovers the edits of a killed one, like an editor started later.
       :ok = Editor.subscribe(ben)
       {:ok, layer} = add(ben, 20, 30)
       assert_receive {:situ_annotation, ^ben, :reloaded}
-      assert spans(layer) == [{0, 10}, {10, 20}, {20, 30}]
-      assert %{recovered: 2} = Editor.status(ben)
+      assert spans(layer) == [{0, 10}, {20, 30}]
+      assert {:error, %{code: :overlap}} = add(anna, 25, 40)
+      {:ok, _} = Editor.edit(anna, &Layer.change(&1, 2, note: "loud"))
+      {:ok, layer} = Editor.edit(ben, &Layer.change(&1, 2, confidence: 0.5))
+      assert %{note: "loud", confidence: 0.5} = Layer.fetch!(layer, 2)
+      {:ok, _} = Editor.save(anna)
       {:ok, _} = Editor.save(ben)
-      assert stored(path, "Speech") == [{0, 10}, {10, 20}, {20, 30}]
-      refute File.exists?(journal)
+      assert stored(path, "Speech") == [{0, 10}, {20, 30}]
     end
 
-    test "are not blocked by a failing edit", %{path: path, journal: journal} do
+    test "are told of a conflict with another user's edit", %{path: path, log: log} do
+      editor = start(path)
+      {:ok, _} = add(editor, 0, 10)
+      # Another user changes the interval.
+      change = [[1, annotation(0, 10), annotation(0, 12)]]
+      append_as_ben(log, %{"annotations" => change})
+      remove = &Layer.remove(&1, 1)
+      assert {:error, %{code: :stale_edit, why: why}} = Editor.edit(editor, remove, version: 1)
+      assert why =~ "ben"
+      {:ok, layer} = Editor.edit(editor, &Layer.change(&1, 1, note: "x"), version: 1)
+      assert %{to: 12, note: "x"} = Layer.fetch!(layer, 1)
+      assert {:ok, _} = Editor.edit(editor, remove, version: 3)
+    end
+
+    defp annotation(from, to) do
+      values = Situ.Annotation.Schema.default_values(schema())
+      Annotation.to_json(%{Annotation.new(from, to, "A", values) | id: 1})
+    end
+
+    defp append_as_ben(path, operation) do
+      {:ok, log, _} = EditLog.read_all(Path.rootname(path))
+      {:ok, _, _} = EditLog.append(log, %{EditLog.Entry.new("edit", operation) | user: "ben"})
+    end
+
+    test "are not blocked by a failing edit", %{path: path, log: log} do
       [anna, ben] = for _ <- 1..2, do: start(path)
       assert {:error, _} = Editor.edit(anna, fn _ -> raise "no" end)
       assert {:error, %{code: :nothing_to_undo}} = Editor.undo(anna)
-      refute File.exists?(journal <> ".lock")
+      refute File.exists?(log)
       assert {:ok, _} = add(ben, 0, 10)
       :ok = Editor.stop(ben)
       assert {:ok, layer} = add(anna, 10, 20)
@@ -323,7 +362,7 @@ defmodule Situ.Annotation.EditorTest do
       {:ok, layer} = Editor.refresh(editor)
       assert spans(layer) == [{0, 10}, {20, 30}]
       assert_receive {:situ_annotation, ^editor, :reloaded}
-      assert %{undo: 0, unsaved?: false, shadowed: nil} = Editor.status(editor)
+      assert %{unsaved?: false, shadowed: nil} = Editor.status(editor)
     end
 
     test "reapplies unsaved edits to them, also after a crash", ctx do
@@ -338,7 +377,7 @@ defmodule Situ.Annotation.EditorTest do
       by_another(ctx.path, [{60, 70}, {20, 30}, {0, 10}])
       {:ok, layer} = add(editor, 80, 90)
       assert spans(layer) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
-      assert %{undo: 3, unsaved?: true} = Editor.status(editor)
+      assert %{undo: 4, unsaved?: true} = Editor.status(editor)
       Process.exit(editor, :kill)
       assert_receive {:EXIT, ^editor, :killed}
       editor = start(ctx.path)
@@ -389,19 +428,39 @@ defmodule Situ.Annotation.EditorTest do
     end
   end
 
-  test "reports a damaged journal instead of guessing", %{path: path, journal: journal} do
-    File.write!(journal, ~s({"base": null}\nnonsense\n[]\n))
-
-    assert {:error, %{code: :bad_journal, why: why}} =
-             Editor.start_link(path: path, stream: "Speech", schema: schema())
-
-    assert why =~ "line 2"
-    File.write!(journal, ~s({"base": null}\n[[1, {"from":0,"to":1,"track":"A"}, null]]\n))
-
-    assert {:error, %{code: :bad_journal}} =
-             Editor.start_link(path: path, stream: "Speech", schema: schema())
-
+  test "reports a damaged log instead of guessing", %{path: path, log: log} do
+    editor = start(path)
+    for t <- [0, 10, 20], do: {:ok, _} = add(editor, t, t + 5)
+    :ok = Editor.stop(editor)
+    File.write!(log, String.replace(File.read!(log), ~s("from":10), ~s("from":11)))
+    assert {:error, %{code: :bad_log}} = Editor.start_link(path: path, stream: "Speech")
     assert {:error, %{code: :no_schema}} = Editor.start_link(path: path, stream: "New")
+  end
+
+  describe "the journal of an earlier release" do
+    test "becomes operations", %{path: path, journal: journal} do
+      {:ok, folder} = Recording.write(layer([{0, 10, "A", "speaks"}]), path, "Speech")
+      new = Annotation.to_json(%{Annotation.new(20, 30, "A") | id: 2})
+      lines = [~s({"base":"#{Path.basename(folder)}"}), Situ.JSON.encode([[2, nil, new]])]
+      File.write!(journal, Enum.join(lines, "\n") <> "\n[[9, nul")
+      editor = start(path)
+      assert %{recovered: 1, undo: 1, unsaved?: true} = Editor.status(editor)
+      assert spans(Editor.current_layer(editor)) == [{0, 10}, {20, 30}]
+      refute File.exists?(journal)
+    end
+
+    test "is reported if it is damaged", %{path: path, journal: journal} do
+      File.write!(journal, ~s({"base": null}\nnonsense\n[]\n))
+
+      assert {:error, %{code: :bad_journal, why: why}} =
+               Editor.start_link(path: path, stream: "Speech", schema: schema())
+
+      assert why =~ "line 2"
+      File.write!(journal, ~s({"base": null}\n[[1, {"from":0,"to":1,"track":"A"}, null]]\n))
+
+      assert {:error, %{code: :bad_journal}} =
+               Editor.start_link(path: path, stream: "Speech", schema: schema())
+    end
   end
 
   test "notifies subscribers, and survives a raising edit", %{path: path} do

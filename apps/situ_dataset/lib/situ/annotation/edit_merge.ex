@@ -1,0 +1,59 @@
+defmodule Situ.Annotation.EditMerge do
+  @moduledoc false
+  # Decides whether an edit that a person made while looking at an earlier version can be merged: nobody else has changed
+  # the same fields of an annotation since, nor deleted it.
+  alias Situ.Annotation.{Layer, LayerOperation}
+  alias Situ.EditLog.Entry
+  alias Situ.Error
+
+  @doc """
+  Checks a transaction against the entries (newest first) after `version`; `nil` is the current version. Error:
+  `:stale_edit`, which names the other user.
+  """
+  @spec check_version([Entry.t()], Layer.transaction(), non_neg_integer() | nil) ::
+          :ok | {:error, Error.t()}
+  def check_version(_entries, _transaction, nil), do: :ok
+
+  def check_version(entries, transaction, version) do
+    mine = Entry.new("edit", %{})
+    wanted = list_fields(transaction)
+
+    entries
+    |> Enum.take_while(&(&1.n > version))
+    |> Enum.find(&(not Entry.same_user?(&1, mine) and overlaps?(&1, wanted)))
+    |> case do
+      nil -> :ok
+      entry -> {:error, stale_error(entry)}
+    end
+  end
+
+  defp overlaps?(entry, wanted) do
+    {:ok, transaction} = LayerOperation.parse_transaction(entry.do)
+    Enum.any?(list_fields(transaction), fn {id, fields} -> conflict?(fields, wanted[id]) end)
+  end
+
+  defp conflict?(_theirs, nil), do: false
+  defp conflict?(:all, _mine), do: true
+  defp conflict?(_theirs, :all), do: true
+  defp conflict?(theirs, mine), do: theirs -- theirs -- mine != []
+
+  # Both ends of an interval are one field, because they depend on each other.
+  defp list_fields(transaction) do
+    for {id, before, later} <- transaction, before != nil, into: %{} do
+      if later == nil,
+        do: {id, :all},
+        else: {id, before |> LayerOperation.changed_fields(later) |> Enum.map(&field_group/1)}
+    end
+  end
+
+  defp field_group(field) when field in [:from, :to, :track], do: :interval
+  defp field_group(field), do: field
+
+  defp stale_error(entry) do
+    Error.new(:stale_edit, "the annotation was changed by someone else",
+      why:
+        "#{entry.by || entry.user || "another user"} changed it at #{entry.at} with #{entry.program}",
+      fix: "look at the annotation, and repeat the edit if it is still wanted"
+    )
+  end
+end
