@@ -255,16 +255,19 @@ defmodule Situ.Dataset do
   defp list_changes(%{document: document} = dataset),
     do: DatasetDocument.diff(document.content, Map.take(dataset, @fields), document.path)
 
-  defp take_document({:ok, document}, dataset),
+  @doc false
+  # Returns the dataset with the content of its document, or the error of a dataset.
+  @spec take_document(Document.result(), t()) :: result()
+  def take_document({:ok, document}, dataset),
     do: {:ok, struct!(%{dataset | unsaved?: false, document: document}, document.content)}
 
-  defp take_document({:error, %{code: :in_use} = error}, _dataset),
+  def take_document({:error, %{code: :in_use} = error}, _dataset),
     do: {:error, %{error | code: :dataset_in_use}}
 
-  defp take_document({:error, %{code: :conflict} = error}, _dataset),
+  def take_document({:error, %{code: :conflict} = error}, _dataset),
     do: {:error, %{error | code: :dataset_changed}}
 
-  defp take_document(error, _dataset), do: error
+  def take_document(error, _dataset), do: error
 
   # Every edit ends with this function, which saves the dataset if autosave is on.
   defp commit_edit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})

@@ -149,7 +149,7 @@ defmodule Situ.CLI.Dataset do
     saved =
       case open_dataset!(file) do
         %{file: nil} = dataset -> unwrap!(Dataset.save(unwrap!(fun.(dataset))))
-        dataset -> unwrap!(Dataset.update(dataset, fun))
+        dataset -> unwrap!(Dataset.update(dataset, fun, write: true))
       end
 
     if opts[:json], do: Output.print_json(%{file: saved.file, sessions: length(saved.sessions)})

@@ -29,6 +29,33 @@ defmodule Situ.CLI.DatasetTest do
     writer.path
   end
 
+  test "lists, compares, names and restores versions", %{tmp_dir: root} do
+    file = Path.join(root, "study.json")
+    for i <- 1..2, do: record(Path.join(root, "p#{i}"), "room", i * 100)
+    {0, _} = run(["dataset", "create", file, root])
+    assert {0, text} = run(["dataset", "history", file])
+    assert text =~ "no edits yet"
+    {0, ""} = run(["dataset", "set", file, "p1", "--tag", "pilot"])
+    {0, "2: name version 1 \"paper\"\n"} = run(["dataset", "name", file, "paper"])
+    {0, ""} = run(["dataset", "rename", file, "p2", "late"])
+    {0, text} = run(["dataset", "history", file])
+
+    assert text =~ ~r/1 .*add tag pilot to session p1/ and
+             text =~ ~r/3 .*rename session p2 to late/
+
+    assert {0, "rename session p2 to late\n"} = run(["dataset", "diff", file, "paper"])
+    assert {0, "4: undo 3\n"} = run(["dataset", "undo", file])
+    assert {0, "5: redo 3\n"} = run(["dataset", "redo", file])
+    assert {0, "6: restore version 0 (2 changes)\n"} = run(["dataset", "restore", file, "0"])
+    assert {0, "no difference\n"} = run(["dataset", "diff", file, "0", "now"])
+    assert [_, _, _, _, _, %{"version" => 6}] = json(["dataset", "history", file])
+
+    assert capture_io(:stderr, fn ->
+             assert Situ.CLI.run(["dataset", "restore", file, "9"]) == 1
+           end) =~
+             "0 to 6"
+  end
+
   test "creates, lists, tags, seals and verifies a study of a folder", %{tmp_dir: root} do
     for i <- 1..3, do: record(Path.join(root, "p#{i}"), "room", i * 100)
     file = Path.join(root, "study.json")

@@ -37,9 +37,9 @@ defmodule Situ.Annotation.Editor do
   """
   # See docs/adr/0091-annotations-are-streams-with-versions.md.
   use GenServer
-  alias Situ.Annotation.{EditMerge, Layer, LayerDocument, LayerOperation, Schema}
+  alias Situ.Annotation.{EditMerge, Layer, LayerDocument, LayerHistory, LayerOperation, Schema}
   alias Situ.EditLog
-  alias Situ.EditLog.{Entry, Versions}
+  alias Situ.EditLog.Entry
   alias Situ.Error
 
   @type server :: GenServer.server()
@@ -147,7 +147,7 @@ defmodule Situ.Annotation.Editor do
   def handle_call(:revision, _from, state), do: {:reply, :counters.get(state.revision, 1), state}
 
   def handle_call(:status, _from, %{document: document} = state) do
-    {undo, redo} = undo_stacks(document)
+    {undo, redo} = LayerHistory.undo_stacks(document)
 
     status = %{
       undo: length(undo),
@@ -179,28 +179,28 @@ defmodule Situ.Annotation.Editor do
     |> run_locked(fn document ->
       with {:ok, %Layer{}, transaction} <- run_edit(fun, document.layer),
            :ok <- EditMerge.check_version(document.entries, transaction, opts[:version]),
-           do: append(document, "edit", LayerOperation.encode_transaction(transaction), opts)
+           do:
+             LayerHistory.append(
+               document,
+               "edit",
+               LayerOperation.encode_transaction(transaction),
+               opts
+             )
     end)
   end
 
-  def handle_call(:undo, _from, state), do: run_locked(state, &step_back/1)
-  def handle_call(:redo, _from, state), do: run_locked(state, &step_forward/1)
+  def handle_call(:undo, _from, state), do: run_locked(state, &LayerHistory.undo/1)
+  def handle_call(:redo, _from, state), do: run_locked(state, &LayerHistory.redo/1)
 
-  def handle_call({:restore, version, opts}, _from, state) do
-    run_locked(state, fn document ->
-      with {:ok, layer} <- LayerDocument.layer_at(document, version) do
-        operation = LayerOperation.diff_layers(document.layer, layer)
-        append(document, "restore", operation, [{:of, version} | opts])
-      end
-    end)
-  end
+  def handle_call({:restore, version, opts}, _from, state),
+    do: run_locked(state, &LayerHistory.restore(&1, version, opts))
 
   def handle_call({:put_schema, schema, fun}, _from, state) do
     changed =
       run_locked(state, fn document ->
         with {:ok, layer} <- convert_layer(document.layer, schema, fun),
              operation = LayerOperation.diff_layers(document.layer, layer),
-             {:ok, document} <- append(document, "edit", operation, []),
+             {:ok, document} <- LayerHistory.append(document, "edit", operation, []),
              do: LayerDocument.write_version(document)
       end)
 
@@ -254,12 +254,6 @@ defmodule Situ.Annotation.Editor do
     state
   end
 
-  defp append(document, kind, operation, opts) do
-    if LayerOperation.empty?(operation),
-      do: {:ok, document},
-      else: LayerDocument.append(document, kind, operation, opts)
-  end
-
   defp convert_layer(layer, schema, fun) do
     Layer.new(schema, layer |> Layer.annotations() |> Enum.map(fun), layer.review)
   rescue
@@ -274,26 +268,6 @@ defmodule Situ.Annotation.Editor do
   rescue
     exception ->
       {:error, Error.new(:edit_failed, "the edit failed", why: Exception.message(exception))}
-  end
-
-  defp undo_stacks(document),
-    do: document.entries |> Enum.reverse() |> Versions.undo_stacks(Entry.new("edit", %{}))
-
-  defp step_back(document) do
-    case undo_stacks(document) do
-      {[entry | _], _} ->
-        LayerDocument.append(document, "undo", LayerOperation.invert(entry.do), of: entry.n)
-
-      {[], _} ->
-        {:error, Error.new(:nothing_to_undo, "there is nothing to undo")}
-    end
-  end
-
-  defp step_forward(document) do
-    case undo_stacks(document) do
-      {_, [entry | _]} -> LayerDocument.append(document, "redo", entry.do, of: entry.n)
-      {_, []} -> {:error, Error.new(:nothing_to_redo, "there is nothing to redo")}
-    end
   end
 
   defp notify_subscribers(state, what) do

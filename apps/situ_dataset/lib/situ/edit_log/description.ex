@@ -108,6 +108,18 @@ defmodule Situ.EditLog.Description do
   defp shorten_lines(lines),
     do: Enum.join(Enum.take(lines, 2), "; ") <> "; and #{length(lines) - 2} more changes"
 
+  @doc "Returns an entry for users: version, kind, time, person, program, computer, and the operation in plain words."
+  @spec summarize_entry(Entry.t(), (Entry.t() -> [String.t()])) :: map()
+  def summarize_entry(entry, describe \\ &describe_changes/1) do
+    entry
+    |> Map.take([:kind, :at, :program, :host])
+    |> Map.merge(%{
+      version: entry.n,
+      by: entry.by || entry.user,
+      what: describe_entry(entry, describe)
+    })
+  end
+
   @doc "Describes the changes of an entry of a JSON document."
   @spec describe_changes(Entry.t()) :: [String.t()]
   def describe_changes(%{do: %{"changes" => changes}}) when is_list(changes),

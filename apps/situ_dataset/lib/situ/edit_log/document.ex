@@ -51,6 +51,7 @@ defmodule Situ.EditLog.Document do
           written: non_neg_integer()
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
+  @type edited :: {:ok, content()} | {:ok, content(), keyword()} | {:error, Error.t()}
 
   @doc "Returns the number of the last operation that the document contains."
   @spec version(t()) :: non_neg_integer()
@@ -243,20 +244,28 @@ defmodule Situ.EditLog.Document do
   end
 
   @doc """
-  Changes the current content with a function `content -> {:ok, content} | {:error, error}`. Other programs wait in the
-  meantime. Options: those of `Situ.EditLog.Entry.new/3`, `kind:` (default `edit`), and `write:` `true` to write a large
-  file, too. Errors: those of `fun`, `:in_use`, `:no_locks`, `:not_saved`.
+  Changes the current content with a function `content -> {:ok, content} | {:ok, content, opts} | {:error, error}`. Other
+  programs wait in the meantime. Options: those of `Situ.EditLog.Entry.new/3`, `kind:` (default `edit`), and `write:`
+  `true` to write a large file, too. Errors: those of `fun`, `:in_use`, `:no_locks`, `:not_saved`.
   """
-  @spec edit(t(), (content() -> {:ok, content()} | {:error, Error.t()}), keyword()) :: result()
+  @spec edit(t(), (content() -> edited()), keyword()) :: result()
   def edit(document, fun, opts \\ []) do
     EditLog.with_lock(document.path, fn ->
       with :ok <- check_type(document.path),
            {:ok, document} <- refresh_locked(document),
-           {:ok, later} <- fun.(document.content),
+           {:ok, later, opts} <- run_edit(fun, document.content, opts),
            changes = document.format.diff(document.content, later, document.path),
            {:ok, document} <- append_changes(document, {opts[:kind] || "edit", changes}, opts),
            do: document |> Map.put(:content, later) |> write_if_due(opts[:write])
     end)
+  end
+
+  defp run_edit(fun, content, opts) do
+    case fun.(content) do
+      {:ok, later} -> {:ok, later, opts}
+      {:ok, later, more} -> {:ok, later, Keyword.merge(opts, more)}
+      error -> error
+    end
   end
 
   defp check_type(path) do
@@ -310,7 +319,7 @@ defmodule Situ.EditLog.Document do
 
   defp join_locked(document, mark), do: adopt_file(document, mark)
 
-  defp append_changes(document, {_kind, []}, _opts), do: {:ok, document}
+  defp append_changes(document, {kind, []}, _opts) when kind != "name", do: {:ok, document}
 
   defp append_changes(document, {kind, changes}, opts) do
     with {:ok, log} <- ensure_log(document),
@@ -429,12 +438,6 @@ defmodule Situ.EditLog.Document do
   @doc "Writes the file if it does not contain all operations of the log."
   @spec write(t()) :: result()
   def write(document), do: edit(document, &{:ok, &1}, write: true)
-
-  @doc "Returns the entries of the log, oldest first."
-  @spec history(t()) :: {:ok, [Entry.t()]} | {:error, Error.t()}
-  def history(document) do
-    with {:ok, _log, entries} <- EditLog.read_all(document.path), do: {:ok, entries}
-  end
 
   @doc "Returns the content of an earlier version. Version 0 is the content before the first operation."
   @spec content_at(t(), non_neg_integer()) :: {:ok, content()} | {:error, Error.t()}

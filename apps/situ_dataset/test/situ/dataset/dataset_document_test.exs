@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.DatasetDocumentTest do
   use ExUnit.Case, async: true
   alias Situ.Dataset
-  alias Situ.EditLog.Document
+  alias Situ.EditLog.{Document, DocumentHistory}
   alias Situ.Store.FileLock
 
   @moduletag :tmp_dir
@@ -67,7 +67,7 @@ defmodule Situ.Dataset.DatasetDocumentTest do
       assert {:ok, %{name: "By hand", sessions: [%{name: "a"}, %{name: "b"}]}} =
                Dataset.load(file)
 
-      {:ok, entries} = Document.history(dataset.document)
+      {:ok, entries} = DocumentHistory.list_entries(dataset.document)
       assert Enum.map(entries, & &1.kind) == ["edit", "outside", "edit"]
     end
 
