@@ -66,8 +66,12 @@ schema = Schema.text("Text")
 first = acknowledged |> File.read!() |> String.split("\n", trim: true) |> length()
 {:ok, log} = :file.open(acknowledged, [:append, :raw])
 
-Enum.reduce(first..(String.to_integer(edits) - 1)//1, %{dataset: dataset, editor: editor, name: name}, fn n, state ->
-  {line, state} = Worker.edit(state, n)
-  :ok = :file.write(log, line <> "\n")
-  state
-end)
+Enum.reduce(
+  first..(String.to_integer(edits) - 1)//1,
+  %{dataset: dataset, editor: editor, name: name},
+  fn n, state ->
+    {line, state} = Worker.edit(state, n)
+    :ok = :file.write(log, line <> "\n")
+    state
+  end
+)

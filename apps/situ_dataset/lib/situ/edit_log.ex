@@ -38,11 +38,12 @@ defmodule Situ.EditLog do
   Runs `fun` while no other program can edit the document. Errors: `:in_use`, which names the holder, `:no_locks` if the
   file system has no working locks, and `:not_saved`.
   """
-  @spec with_lock(Path.t(), (() -> result)) :: result | {:error, Error.t()} when result: term()
-  def with_lock(document, fun) do
+  @spec with_lock(Path.t(), (() -> result), non_neg_integer()) :: result | {:error, Error.t()}
+        when result: term()
+  def with_lock(document, fun, wait_ms \\ @wait_ms) do
     with :ok <- make_folder(document),
          :ok <- LockCheck.check_folder(Path.dirname(document)),
-         {:ok, lock} <- FileLock.acquire(document <> ".lock", @wait_ms) do
+         {:ok, lock} <- FileLock.acquire(document <> ".lock", wait_ms) do
       try do
         fun.()
       after

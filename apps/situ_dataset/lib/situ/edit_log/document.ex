@@ -114,6 +114,10 @@ defmodule Situ.EditLog.Document do
     end
   end
 
+  # The program that created the log was killed before it wrote the file.
+  defp join_log(%{log: %{header: %{"digest" => digest}} = log, digest: digest} = document, nil),
+    do: join_log(document, Mark.first(log))
+
   defp join_log(document, mark) do
     case EditLog.with_lock(document.path, fn -> reopen_locked(document) end) do
       {:ok, document} ->
@@ -317,6 +321,9 @@ defmodule Situ.EditLog.Document do
   defp join_locked(%{log: %{id: id}} = document, %{"log" => id, "intact" => true} = mark),
     do: join_log(document, mark)
 
+  defp join_locked(%{log: %{header: %{"digest" => digest}}, digest: digest} = document, nil),
+    do: join_log(document, nil)
+
   defp join_locked(document, mark), do: adopt_file(document, mark)
 
   defp append_changes(document, {kind, []}, _opts) when kind != "name", do: {:ok, document}
@@ -328,11 +335,10 @@ defmodule Situ.EditLog.Document do
          do: {:ok, %{document | log: log}}
   end
 
-  defp ensure_log(%{log: %{id: nil}} = document),
-    do:
-      EditLog.create(document.log, %{
-        "base" => document.format.to_json(document.content, document.path)
-      })
+  defp ensure_log(%{log: %{id: nil}} = document) do
+    base = document.format.to_json(document.content, document.path)
+    EditLog.create(document.log, %{"base" => base, "digest" => document.digest})
+  end
 
   defp ensure_log(%{log: log}), do: {:ok, log}
 
@@ -342,6 +348,8 @@ defmodule Situ.EditLog.Document do
     cond do
       not File.exists?(document.path) -> write_file(document)
       tail == 0 -> {:ok, document}
+      # A file that does not name its version yet must do so before a person edits it.
+      document.written == 0 -> write_checked(document)
       write? == true or size <= @small or tail * 8 >= size -> write_checked(document)
       true -> {:ok, document}
     end

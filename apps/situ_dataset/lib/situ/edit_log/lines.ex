@@ -8,7 +8,7 @@ defmodule Situ.EditLog.Lines do
   Encodes a line.
 
       iex> Situ.EditLog.Lines.encode(%{"n" => 1}) |> IO.iodata_to_binary()
-      "0f9c7ae0 {\\"n\\":1}\\n"
+      "d44b3b7e {\\"n\\":1}\\n"
   """
   @spec encode(map()) :: iodata()
   def encode(json) do

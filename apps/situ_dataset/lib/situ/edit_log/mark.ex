@@ -13,6 +13,11 @@ defmodule Situ.EditLog.Mark do
   def encode({id, version, offset}),
     do: ~s({"log": "#{id}", "version": #{version}, "offset": #{offset}, "digest": "#{@zeros}"})
 
+  @doc "Returns the fields of the member for the file from which a log began."
+  @spec first(Situ.EditLog.t()) :: map()
+  def first(log),
+    do: %{"log" => log.id, "version" => 0, "offset" => log.offset, "intact" => true}
+
   @doc """
   Returns the digest of a text (SHA-256, hexadecimal), in which the digits of the member's own digest are zeros.
   """
