@@ -22,10 +22,14 @@ for name in names:
 
 
 def start(name):
+    # Two of the programs are Python programs.
     script = [*command, str(here / "worker.exs")]
+    if name in names[6:]:
+        script = [sys.executable, str(here / "worker.py")]
     log = open(folder / f"{name}.log", "ab")
     arguments = [str(study), str(store), name, str(edits), str(folder / name)]
-    return subprocess.Popen(script + arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+    client = {**os.environ, "PYTHONPATH": str(here.parent.parent / "clients" / "python" / "src")}
+    return subprocess.Popen(script + arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=client)
 
 
 running = {name: start(name) for name in names}

@@ -3,6 +3,7 @@
 The tests use the standard library and, if it is installed, numpy.
 """
 import base64
+import json
 import math
 import os
 import random
@@ -343,6 +344,38 @@ class StoreTest(unittest.TestCase):
         with tempfile.TemporaryDirectory() as root:
             situ.create("a", root).close()
             self.assertIn("'a' at ", repr(situ.open(os.path.join(root, "a"))))
+
+    def test_datasets_merge_the_edits_of_others(self):
+        with tempfile.TemporaryDirectory() as root:
+            path = os.path.join(root, "study.json")
+            situ.Dataset.create(path)
+            one, two = situ.Dataset.open(path), situ.Dataset.open(path)
+            one.add_session("one", age=30)
+            two.add_session("two")
+            two.document["tags"].append("pilot")
+            one.save()
+            two.save()
+            self.assertEqual(list(two.sessions), ["one", "two"])
+            one.document["metadata"]["lab"] = "A"
+            one.sessions["one"].metadata["age"] = 31
+            one.save()
+            two.sessions["one"].metadata["age"] = 32
+            with self.assertRaisesRegex(situ.ConflictError, "age"):
+                two.save()
+            # An edit of the file itself is kept, and so is an edit that it did not contain.
+            with open(path) as file:
+                text = file.read()
+            one.document["tags"].append("late")
+            one.save()
+            with open(path, "w") as file:
+                file.write(text.replace('"A"', '"B"'))
+            again = situ.Dataset.open(path)
+            self.assertEqual((again.document["metadata"], again.document["tags"]), ({"lab": "B"}, ["pilot", "late"]))
+            again.add_session("three")
+            again.save()
+            with open(path + ".edits") as file:
+                kinds = [json.loads(line[9:]).get("kind") for line in file]
+            self.assertEqual(kinds, [None, "edit", "edit", "edit", "edit", "outside", "edit"])
 
     def test_datasets_keep_unknown_members(self):
         with tempfile.TemporaryDirectory() as root:

@@ -17,7 +17,7 @@ Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
 
 from .binary import Damaged, Missing
 from .component import Component
-from .dataset import Dataset, Partition, Session
+from .dataset import ConflictError, Dataset, Partition, Session
 from .frames import Frame
 from .network import publish, pull, push, subscribe
 from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, open
@@ -33,6 +33,7 @@ __all__ = [
     "Atom",
     "AudioBuffer",
     "Component",
+    "ConflictError",
     "Damaged",
     "DeletedWarning",
     "Dataset",

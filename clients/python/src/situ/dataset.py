@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
-import tempfile
 from typing import Any, Optional
 
-from . import reader
+from . import edits, reader
+from .edits import ConflictError
 from .reader import Path
+
+__all__ = ["ConflictError", "Dataset", "Partition", "Session"]
 
 
 class Dataset:
-    """A dataset file. Saving keeps members that this package does not know."""
+    """A dataset file. Saving keeps members that this package does not know, and merges the edits of other programs."""
 
     def __init__(self, path, document):
         self.path, self.document = os.fspath(path), document
+        self._base = copy.deepcopy(document)
 
     @classmethod
     def create(cls, path: Path, name: Optional[str] = None) -> Dataset:
@@ -23,20 +27,14 @@ class Dataset:
         if os.path.exists(path):
             raise FileExistsError(path)
         title = name or os.path.splitext(os.path.basename(path))[0]
-        dataset = cls(path, {"version": 1, "name": title, "tags": [], "metadata": {}, "sessions": []})
-        dataset.save()
-        return dataset
+        document = {"name": title, "tags": [], "metadata": {}, "sessions": []}
+        edits.replace_file(os.fspath(path), _encode(document).encode())
+        return cls(path, document)
 
     @classmethod
     def open(cls, path: Path) -> Dataset:
         """Opens a dataset file. Raises ValueError if it is not a dataset, or is of an unsupported version."""
-        with open(path, encoding="utf-8") as file:
-            document = json.load(file)
-        if not isinstance(document, dict) or not isinstance(document.get("sessions"), list):
-            raise ValueError(f"{path} is not a dataset: it has no list `sessions`")
-        if document.get("version", 1) != 1:
-            raise ValueError(f"{path} has version {document['version']}; this package supports version 1")
-        return cls(path, document)
+        return cls(path, edits.Document(path, lambda value: _normalize(value, path)).content)
 
     @property
     def name(self) -> Optional[str]:
@@ -57,15 +55,43 @@ class Dataset:
         return Session(self, session)
 
     def save(self) -> None:
-        """Writes the file atomically."""
-        folder = os.path.dirname(os.path.abspath(self.path))
-        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, encoding="utf-8") as file:
-            json.dump(self.document, file, indent=2, ensure_ascii=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(file.name, 0o644)
-        os.replace(file.name, self.path)
+        """Saves the edits. Edits that other programs have saved since are kept, and `document` then contains them.
+
+        Raises `ConflictError` if another program has changed the same members differently.
+        """
+        if not os.path.exists(self.path):
+            edits.replace_file(self.path, _encode(_normalize(self.document, self.path)).encode())
+        changes = edits.diff(self._base, _normalize(self.document, self.path))
+        document = edits.Document(self.path, lambda value: _normalize(value, self.path))
+        document.edit(changes, _encode)
+        if not edits.same(document.content, self.document):
+            self.document = document.content
+        self._base = copy.deepcopy(document.content)
+
+
+def _normalize(document, path):
+    """Checks that a value is a dataset, and adds the members that files may omit."""
+    if not isinstance(document, dict) or not isinstance(document.get("sessions"), list):
+        raise ValueError(f"{path} is not a dataset: it has no list `sessions`")
+    if document.get("version", 1) != 1:
+        raise ValueError(f"{path} has version {document['version']}; this package supports version 1")
+    document = {key: value for key, value in document.items() if key != "version"}
+    document.setdefault("name", "Untitled Dataset")
+    for owner in (document, *document["sessions"]):
+        owner.setdefault("tags", [])
+        owner.setdefault("metadata", {})
+    for session in document["sessions"]:
+        for part in session.setdefault("partitions", []):
+            part.setdefault("metadata", {})
+    return document
+
+
+def _encode(document, mark=None):
+    """Returns the text of a file; `mark` is the text of its member `edits`."""
+    document = dict(document)
+    sessions = document.pop("sessions")
+    text = json.dumps({"version": 1, **document, "sessions": sessions}, indent=2, ensure_ascii=False)
+    return ("{\n  " + mark + "," + text[1:] if mark else text) + "\n"
 
 
 class Session:

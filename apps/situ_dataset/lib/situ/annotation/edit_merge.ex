@@ -7,25 +7,24 @@ defmodule Situ.Annotation.EditMerge do
   alias Situ.Error
 
   @doc """
-  Checks a transaction against the entries (newest first) after `version`; `nil` is the current version. Error:
-  `:stale_edit`, which names the other user.
+  Checks a transaction against the entries (newest first) after the option `version:` (default: none) that a person other
+  than `by:` has made. Error: `:stale_edit`, which names the other person.
   """
-  @spec check_version([Entry.t()], Layer.transaction(), non_neg_integer() | nil) ::
-          :ok | {:error, Error.t()}
-  def check_version(_entries, _transaction, nil), do: :ok
-
-  def check_version(entries, transaction, version) do
-    mine = Entry.new("edit", %{})
+  @spec check_version([Entry.t()], Layer.transaction(), keyword()) :: :ok | {:error, Error.t()}
+  def check_version(entries, transaction, opts) do
+    mine = Entry.new("edit", %{}, by: opts[:by])
     wanted = list_fields(transaction)
 
     entries
-    |> Enum.take_while(&(&1.n > version))
-    |> Enum.find(&(not Entry.same_user?(&1, mine) and overlaps?(&1, wanted)))
+    |> Enum.take_while(&(opts[:version] != nil and &1.n > opts[:version]))
+    |> Enum.find(&(not same_person?(&1, mine) and overlaps?(&1, wanted)))
     |> case do
       nil -> :ok
       entry -> {:error, stale_error(entry)}
     end
   end
+
+  defp same_person?(entry, mine), do: Entry.same_user?(entry, mine) and entry.by == mine.by
 
   defp overlaps?(entry, wanted) do
     {:ok, transaction} = LayerOperation.parse_transaction(entry.do)

@@ -87,7 +87,7 @@ defmodule Situ.Annotation.Editor do
   Applies an edit and returns `{:ok, layer}`. The edit is a function `layer -> {:ok, layer, transaction} |
   {:error, error}`, from `Situ.Annotation.Layer` or `Situ.Annotation.Edit`, for example. Undone edits can no longer be
   redone. Options: `by:`, the name of the person in the history, and `version:`, the version that the person has seen.
-  Errors: those of the function, `:stale_edit` if another user has changed the same fields since that version,
+  Errors: those of the function, `:stale_edit` if another person has changed the same fields since that version,
   `:not_saved`, `:in_use`, and `:no_locks`.
   """
   @spec edit(server(), (Layer.t() -> Layer.edited()), keyword()) ::
@@ -178,7 +178,7 @@ defmodule Situ.Annotation.Editor do
     |> remember_writer(pid)
     |> run_locked(fn document ->
       with {:ok, %Layer{}, transaction} <- run_edit(fun, document.layer),
-           :ok <- EditMerge.check_version(document.entries, transaction, opts[:version]),
+           :ok <- EditMerge.check_version(document.entries, transaction, opts),
            do:
              LayerHistory.append(
                document,

@@ -18,6 +18,7 @@ defmodule Situ.Annotation.Schema do
   one character and is unique in the schema.
   """
   alias Situ.Annotation.Attribute
+  alias Situ.EditLog.{Document, JsonFormat}
   alias Situ.Error
 
   @enforce_keys [:name, :attributes]
@@ -131,14 +132,7 @@ defmodule Situ.Annotation.Schema do
   @doc "Writes a schema file."
   @spec save(t(), Path.t()) :: :ok | {:error, Error.t()}
   def save(%__MODULE__{} = schema, path) do
-    case File.write(path, Situ.JSON.encode_pretty(to_json(schema)) <> "\n") do
-      :ok ->
-        :ok
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))}
-    end
+    with {:ok, _} <- Document.put(path, JsonFormat, to_json(schema)), do: :ok
   end
 
   @doc "Returns the attribute with that name, or `nil`."

@@ -17,6 +17,9 @@ defmodule Situ.Dataset.Server do
   """
   use GenServer
   alias Situ.{Dataset, Error}
+  alias Situ.EditLog.Document
+
+  @write_ms 1_000
 
   @type change ::
           :dataset
@@ -77,7 +80,7 @@ defmodule Situ.Dataset.Server do
   end
 
   @impl true
-  def init(dataset), do: {:ok, %{dataset: dataset, subscribers: %{}}}
+  def init(dataset), do: {:ok, %{dataset: dataset, subscribers: %{}, timer: nil}}
 
   @impl true
   def handle_call(:get, _from, state), do: {:reply, state.dataset, state}
@@ -91,11 +94,18 @@ defmodule Situ.Dataset.Server do
     case run_edit(fun, state.dataset) do
       {:ok, dataset} ->
         notify_subscribers(state, diff_datasets(state.dataset, dataset))
-        {:reply, {:ok, dataset}, %{state | dataset: dataset}}
+        {:reply, {:ok, dataset}, schedule_write(%{state | dataset: dataset})}
 
       {:error, error} ->
         {:reply, {:error, error}, state}
     end
+  end
+
+  # Edits of a large dataset are in its log first. The file follows when there was no edit for a while.
+  defp schedule_write(%{dataset: dataset, timer: timer} = state) do
+    if timer, do: Process.cancel_timer(timer)
+    behind? = dataset.document != nil and Document.behind?(dataset.document)
+    %{state | timer: if(behind?, do: Process.send_after(self(), :write_file, @write_ms))}
   end
 
   # The function comes from the caller: an exception in it must not lose the edits of other users.
@@ -124,6 +134,18 @@ defmodule Situ.Dataset.Server do
   @impl true
   def handle_info({:DOWN, _, :process, pid, _}, state),
     do: {:noreply, %{state | subscribers: Map.delete(state.subscribers, pid)}}
+
+  # If the file cannot be written, its log still contains the edits.
+  def handle_info(:write_file, state) do
+    case Dataset.write_file(state.dataset) do
+      {:ok, dataset} ->
+        notify_subscribers(state, diff_datasets(state.dataset, dataset))
+        {:noreply, %{state | dataset: dataset, timer: nil}}
+
+      {:error, _} ->
+        {:noreply, %{state | timer: nil}}
+    end
+  end
 
   def handle_info(_, state), do: {:noreply, state}
 end

@@ -4,7 +4,7 @@ defmodule Situ.EditLog.Changes do
   # by a path. Changes at different places commute. A change at a place that another program has changed in a different
   # way is a conflict.
   #
-  # A path is a list of keys. In a list of objects with names, such as the sessions of a dataset, the key is the name; in
+  # A path is a list of keys. In a list of objects with names or ids, such as the sessions of a dataset, it is the name or id; in
   # a list of different strings, such as tags, it is the string. Any other list is one value.
   #
   #     ["add", PATH, VALUE, INDEX]  ["remove", PATH, VALUE, INDEX]  ["set", PATH, BEFORE, AFTER]

@@ -443,6 +443,25 @@ defmodule Situ.EditLog.Document do
     end
   end
 
+  @doc """
+  Saves a document that was read as `base` and is now `later`, and merges it with the edits of others. Without a base, or
+  if the file is missing, `later` replaces the document. Errors: see `merge/3`.
+  """
+  @spec save(Path.t(), module(), {content() | nil, content()}) :: result()
+  def save(path, format, {nil, later}), do: put(path, format, later)
+
+  def save(path, format, {base, later}) do
+    case open(path, format) do
+      {:ok, document} -> merge(document, format.diff(base, later, document.path), [])
+      {:error, %{code: code}} when code in [:not_found, :bad_document] -> put(path, format, later)
+      error -> error
+    end
+  end
+
+  @doc "Returns whether the file does not contain all operations of the log."
+  @spec behind?(t()) :: boolean()
+  def behind?(document), do: document.log.id != nil and document.log.offset > document.written
+
   @doc "Writes the file if it does not contain all operations of the log."
   @spec write(t()) :: result()
   def write(document), do: edit(document, &{:ok, &1}, write: true)

@@ -1,6 +1,6 @@
 defmodule Situ.EditLog.Listing do
   @moduledoc false
-  # Lists whose items have keys: objects with different names, or different strings. `Situ.EditLog.Changes` describes
+  # Lists whose items have keys: objects with different names or ids, or different strings. `Situ.EditLog.Changes` describes
   # the changes.
   alias Situ.EditLog.Changes
 
@@ -20,22 +20,21 @@ defmodule Situ.EditLog.Listing do
 
   defp item_kind(list) do
     cond do
-      Enum.all?(list, &match?(%{"name" => name} when is_binary(name), &1)) ->
-        check_unique(list, :named)
-
-      Enum.all?(list, &is_binary/1) ->
-        check_unique(list, :strings)
-
-      true ->
-        :none
+      Enum.all?(list, &has_text?(&1, "name")) -> check_unique(list, :named)
+      Enum.all?(list, &has_text?(&1, "id")) -> check_unique(list, :numbered)
+      Enum.all?(list, &is_binary/1) -> check_unique(list, :strings)
+      true -> :none
     end
   end
+
+  defp has_text?(item, key), do: is_map(item) and is_binary(item[key])
 
   defp check_unique(list, kind),
     do:
       if(list |> MapSet.new(&item_key/1) |> MapSet.size() == length(list), do: kind, else: :none)
 
   defp item_key(%{"name" => name}), do: name
+  defp item_key(%{"id" => id}), do: id
   defp item_key(%{name: name}), do: name
   defp item_key(text), do: text
 

@@ -44,7 +44,8 @@ export class AnnotationPanel {
 
   pushEdit(what, more = {}) {
     this.app.edited = "annotations";
-    this.app.options.push?.("annotation_edit", { do: what, ...more });
+    const { version } = this.state;
+    this.app.options.push?.("annotation_edit", { do: what, by: this.annotator, version, ...more });
   }
 
   // Applies the server's state of the annotations.

@@ -116,6 +116,7 @@ defmodule Situ.Studio.Annotations do
       redo: status.redo,
       unsaved: status.unsaved?,
       recovered: status.recovered,
+      version: status.version,
       shadowed: status.shadowed && Path.basename(status.shadowed)
     }
   end
@@ -147,9 +148,24 @@ defmodule Situ.Studio.Annotations do
   def apply_edit(editor, %{"do" => "save"}), do: edit_result(Editor.save(editor))
 
   def apply_edit(editor, %{"do" => name} = params),
-    do: edit_result(Editor.edit(editor, &Request.apply_change(name, &1, params)))
+    do:
+      edit_result(
+        Editor.edit(editor, &Request.apply_change(name, &1, params), edit_options(params))
+      )
 
   def apply_edit(_, _), do: invalid_edit()
+
+  # The person is for the history. The version is the one that the page showed.
+  defp edit_options(params) do
+    by = params["by"]
+    version = params["version"]
+
+    [
+      by:
+        if(is_binary(by) and String.trim(by) != "", do: by |> String.trim() |> String.slice(0, 60)),
+      version: if(is_integer(version) and version >= 0, do: version)
+    ]
+  end
 
   defp edit_result({:ok, _}), do: :ok
   defp edit_result(error), do: error

@@ -36,7 +36,7 @@ defmodule Situ.Studio.BatchRuns do
     with {:ok, module} <- Task.fetch_task(task),
          %{options: schema, output: output} = module.task(),
          {:ok, options} <- Situ.Options.parse(config, schema),
-         {:ok, dataset} <- Datasets.reload_dataset(server, file),
+         {:ok, dataset} <- Datasets.reload_dataset(server),
          {:ok, chosen} <- select_sessions(dataset, sessions) do
       opts = Keyword.put_new(opts, :output, output)
       note = %{task: task, sessions: Enum.map(chosen, & &1.name), config: config}
@@ -113,7 +113,7 @@ defmodule Situ.Studio.BatchRuns do
 
   defp start_task(owner, id, {server, file}, {module, sessions, opts}, cancel) do
     commit = fn server, session, partition ->
-      with {:ok, _} <- Datasets.put_partition(server, file, session.name, partition),
+      with {:ok, _} <- Datasets.put_partition(server, session.name, partition),
            do: {:ok, server}
     end
 

@@ -13,13 +13,13 @@ defmodule Situ.Studio.Datasets do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
 
     with {:ok, dataset} <- Dataset.load(file, autosave: true),
-         {:ok, server} <- start_server(studio, name, dataset, file) do
+         {:ok, server} <- start_server(studio, name, dataset) do
       :ok = Server.subscribe(server)
       {:ok, server}
     end
   end
 
-  defp start_server(studio, name, dataset, file) do
+  defp start_server(studio, name, dataset) do
     child = %{
       id: Server,
       start: {Server, :start_link, [[dataset: dataset, name: name]]},
@@ -32,7 +32,7 @@ defmodule Situ.Studio.Datasets do
 
       # The file may have changed since the process read it.
       {:error, {:already_started, pid}} ->
-        with {:ok, _} <- reload_dataset(pid, file), do: {:ok, pid}
+        with {:ok, _} <- reload_dataset(pid), do: {:ok, pid}
 
       {:error, reason} ->
         {:error, Error.new(:not_opened, "no dataset: #{inspect(reason)}")}
@@ -40,26 +40,18 @@ defmodule Situ.Studio.Datasets do
   end
 
   @doc "Applies `fun` to the current content of the dataset's file and saves the result."
-  @spec edit(GenServer.server(), Path.t(), (Dataset.t() -> Dataset.result())) :: Dataset.result()
-  def edit(server, file, fun) do
-    Server.edit(server, fn dataset ->
-      with {:ok, dataset} <- current(dataset, file), do: Dataset.update(dataset, fun)
-    end)
-  end
+  @spec edit(GenServer.server(), (Dataset.t() -> Dataset.result())) :: Dataset.result()
+  def edit(server, fun), do: Server.edit(server, &Dataset.update(&1, fun))
 
-  # A dataset that cannot be saved under its name (a .pds file) keeps the content that was read when it was opened.
-  defp current(%Dataset{file: nil} = dataset, _file), do: {:ok, dataset}
-  defp current(_dataset, file), do: Dataset.load(file, autosave: true)
-
-  @doc "Reloads the file."
-  @spec reload_dataset(GenServer.server(), Path.t()) :: Dataset.result()
-  def reload_dataset(server, file), do: Server.edit(server, &current(&1, file))
+  @doc "Reads the edits that other programs have made."
+  @spec reload_dataset(GenServer.server()) :: Dataset.result()
+  def reload_dataset(server), do: Server.edit(server, &Dataset.refresh/1)
 
   @doc "Adds a partition to a session, and replaces a partition with the same name."
-  @spec put_partition(GenServer.server(), Path.t(), String.t(), Situ.Dataset.Partition.t()) ::
+  @spec put_partition(GenServer.server(), String.t(), Situ.Dataset.Partition.t()) ::
           Dataset.result()
-  def put_partition(server, file, session, partition) do
-    edit(server, file, fn dataset ->
+  def put_partition(server, session, partition) do
+    edit(server, fn dataset ->
       Dataset.update_session(dataset, session, fn session ->
         case Session.fetch_partition(session, partition.name) do
           {:ok, _} -> Session.replace_partition(session, partition)

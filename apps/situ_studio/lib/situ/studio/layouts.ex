@@ -2,6 +2,7 @@ defmodule Situ.Studio.Layouts do
   @moduledoc false
   # Saves named layouts in a folder, one JSON file each. The file contains the name; the file name
   # is derived from the letters and digits of the name.
+  alias Situ.EditLog.{Document, JsonFormat}
   alias Situ.Error
   alias Situ.Studio.Layout
 
@@ -53,27 +54,24 @@ defmodule Situ.Studio.Layouts do
     end
   end
 
-  @doc "Saves a layout atomically, and replaces a layout with the same name."
-  @spec save(Path.t(), Layout.t()) :: :ok | {:error, Error.t()}
-  def save(dir, %Layout{name: name} = layout) do
-    with :ok <- check_name(name) do
-      path = Path.join(dir, file_name(name))
-      temporary = path <> ".#{System.unique_integer([:positive])}.tmp"
+  @doc """
+  Saves a layout and returns it. `base` is the layout that the caller has changed: changes that others have saved since
+  then are merged, and the error `:conflict` reports a panel that both have changed. Without a base, the layout replaces
+  a layout with the same name. The replaced one remains in the log of the file.
+  """
+  @spec save(Path.t(), Layout.t(), Layout.t() | nil) :: {:ok, Layout.t()} | {:error, Error.t()}
+  def save(dir, %Layout{name: name} = layout, base \\ nil) do
+    path = Path.join(dir, file_name(name))
+    base = if base && base.name == name, do: encode_layout(base)
 
-      with :ok <- File.mkdir_p(dir),
-           :ok <- File.write(temporary, Layout.Json.to_json(layout)),
-           :ok <- File.rename(temporary, path) do
-        :ok
-      else
-        {:error, reason} ->
-          File.rm(temporary)
+    with :ok <- check_name(name),
+         {:ok, document} <- Document.save(path, JsonFormat, {base, encode_layout(layout)}),
+         do: document.content |> Situ.JSON.encode() |> Layout.Json.parse_json()
+  end
 
-          {:error,
-           Error.new(:not_saved, "the layout cannot be saved",
-             why: "#{dir}: #{:file.format_error(reason)}"
-           )}
-      end
-    end
+  defp encode_layout(layout) do
+    {:ok, json} = layout |> Layout.Json.to_json() |> Situ.JSON.decode()
+    json
   end
 
   @doc "Deletes the layout `name`."

@@ -10,6 +10,7 @@ defmodule Situ.Studio.Settings do
   # | `keep` | when layouts are saved: `:by_hand`, `:at_once`, or `:ask` when a page is closed | `:by_hand` |
   # | `info` | the statistic next to stream names, one of `Situ.Studio.StreamTotals.list_choices/0` | `:rate` |
   # | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
+  alias Situ.EditLog.{Document, JsonFormat}
   alias Situ.Error
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.Layout
@@ -70,7 +71,7 @@ defmodule Situ.Studio.Settings do
     do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
 
   @doc """
-  Saves the settings atomically.
+  Saves the settings. `base` are the settings that the caller has changed, so that changes of others remain.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
       iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})
@@ -79,26 +80,15 @@ defmodule Situ.Studio.Settings do
       iex> File.rm_rf!(Path.dirname(folder)) != []
       true
   """
-  @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
-  def save(layouts, %__MODULE__{} = settings) do
-    path = settings_path(layouts)
-    temporary = "#{path}.#{System.unique_integer([:positive])}.tmp"
-    text = settings |> Map.from_struct() |> Situ.JSON.encode()
+  @spec save(Path.t(), t(), t() | nil) :: :ok | {:error, Error.t()}
+  def save(layouts, %__MODULE__{} = settings, base \\ nil) do
+    contents = {base && encode_settings(base), encode_settings(settings)}
+    with {:ok, _} <- Document.save(settings_path(layouts), JsonFormat, contents), do: :ok
+  end
 
-    with :ok <- File.mkdir_p(Path.dirname(path)),
-         :ok <- File.write(temporary, text),
-         :ok <- File.rename(temporary, path) do
-      :ok
-    else
-      {:error, reason} ->
-        _ = File.rm(temporary)
-
-        {:error,
-         Error.new(:not_saved, "the settings cannot be saved",
-           why: "#{path}: #{:file.format_error(reason)}",
-           fix: "make the folder writable, or start the studio with a different layouts:"
-         )}
-    end
+  defp encode_settings(settings) do
+    {:ok, json} = settings |> Map.from_struct() |> Situ.JSON.encode() |> Situ.JSON.decode()
+    json
   end
 
   defp settings_path(layouts), do: Path.join(Path.dirname(layouts), "settings.json")

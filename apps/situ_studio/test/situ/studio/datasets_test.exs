@@ -112,7 +112,7 @@ defmodule Situ.Studio.DatasetsTest do
     %{studio: studio, study: file, dir: dir} = context
     {:ok, server} = Datasets.open_server(studio, file)
     path = record(dir, "late", 100)
-    {:ok, _} = Datasets.edit(server, file, &Dataset.add_partition(&1, "c", "Late", path))
+    {:ok, _} = Datasets.edit(server, &Dataset.add_partition(&1, "c", "Late", path))
     assert_receive {:situ_dataset, ^server, _}, 30_000
     {:ok, item, source} = Catalog.open_source(studio, "study.json/c")
     assert item.kind == :session
@@ -134,7 +134,7 @@ defmodule Situ.Studio.DatasetsTest do
     {:ok, server} = Datasets.open_server(studio, file)
     {:ok, other} = Dataset.load(file, autosave: true)
     {:ok, _} = Dataset.add_session(other, "from elsewhere")
-    {:ok, dataset} = Datasets.edit(server, file, &Dataset.add_session(&1, "mine"))
+    {:ok, dataset} = Datasets.edit(server, &Dataset.add_session(&1, "mine"))
     assert ["from elsewhere", "mine"] = dataset.sessions |> Enum.map(& &1.name) |> Enum.take(-2)
   end
 
@@ -268,7 +268,7 @@ defmodule Situ.Studio.DatasetsTest do
     %{studio: studio, study: file, dir: dir} = context
     {:ok, server} = Datasets.open_server(studio, file)
     shared = Path.join(dir, "room-30.0000")
-    {:ok, _} = Datasets.edit(server, file, &Dataset.add_partition(&1, "a/b", "Shared", shared))
+    {:ok, _} = Datasets.edit(server, &Dataset.add_partition(&1, "a/b", "Shared", shared))
     page = mount(studio)
     Page.send_event(page, "delete", %{"path" => ["c"]})
 
@@ -298,7 +298,7 @@ defmodule Situ.Studio.DatasetsTest do
     letter = Path.join(dir, "letter.txt")
     File.write!(letter, "dear")
     {:ok, server} = Datasets.open_server(studio, file)
-    {:ok, _} = Datasets.edit(server, file, &Dataset.add_partition(&1, "c", "Letter", letter))
+    {:ok, _} = Datasets.edit(server, &Dataset.add_partition(&1, "c", "Letter", letter))
     page = mount(studio)
     Page.send_event(page, "delete", %{"path" => ["c", "Letter"]})
     assert List.last(Page.take_pushed_events(page, "toast"))["text"] =~ "letter.txt"

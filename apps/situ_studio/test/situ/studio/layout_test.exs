@@ -259,7 +259,7 @@ defmodule Situ.Studio.LayoutTest do
 
     test "are saved, listed, loaded and deleted by any name", %{tmp_dir: dir} do
       names = ["Mine", "mine", "../../etc/passwd", "a/b", "Größe 1", "<b>"]
-      for name <- names, do: assert(:ok = Layouts.save(dir, Layout.new(name)))
+      for name <- names, do: assert({:ok, _} = Layouts.save(dir, Layout.new(name)))
       assert Layouts.list_names(dir) == Enum.sort(names)
       assert dir |> Path.join("*") |> Path.wildcard() |> length() == length(names)
       assert {:ok, %Layout{name: "a/b"}} = Layouts.load(dir, "a/b")

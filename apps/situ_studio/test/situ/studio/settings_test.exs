@@ -23,9 +23,9 @@ defmodule Situ.Studio.SettingsTest do
   test "reports a folder that cannot be written", %{tmp_dir: root} do
     File.write!(Path.join(root, "file"), "")
 
-    assert {:error, %{code: :not_saved, why: why}} =
+    assert {:error, %{code: :not_saved, what: what}} =
              Settings.save(Path.join(root, "file/below/layouts"), %Settings{})
 
-    assert why =~ "settings.json"
+    assert what =~ "settings.json"
   end
 end

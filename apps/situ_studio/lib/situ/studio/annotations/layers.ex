@@ -45,7 +45,7 @@ defmodule Situ.Studio.Annotations.Layers do
 
   defp add_partition(studio, file, session) do
     with {:ok, server} <- Datasets.open_server(studio, file),
-         {:ok, _} <- Datasets.edit(server, file, &SessionLayers.add_partition(&1, session)),
+         {:ok, _} <- Datasets.edit(server, &SessionLayers.add_partition(&1, session)),
          do: :ok
   end
 

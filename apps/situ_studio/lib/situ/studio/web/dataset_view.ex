@@ -188,11 +188,11 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_info({:batch, _file, runs}, socket),
     do: {:noreply, assign(socket, runs: runs, now: now_ms())}
 
-  def handle_info(:refresh, %{assigns: %{server: server, file: file}} = socket) do
+  def handle_info(:refresh, %{assigns: %{server: server}} = socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
 
     # The file may have been edited by hand or on the command line. The page is then notified as of any change.
-    _ = Datasets.reload_dataset(server, file)
+    _ = Datasets.reload_dataset(server)
     {:noreply, refresh_facts(socket)}
   end
 

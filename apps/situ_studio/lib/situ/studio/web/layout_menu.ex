@@ -151,8 +151,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
     layout = %{socket.assigns.layout | name: String.trim(to_string(name))}
     layout = put_comparison(layout, socket.assigns)
 
-    case Layouts.save(socket.assigns.layout_dir, layout) do
-      :ok ->
+    case Layouts.save(socket.assigns.layout_dir, layout, socket.assigns.saved) do
+      {:ok, layout} ->
         names = [Layout.Auto.layout_name() | Layouts.list_names(socket.assigns.layout_dir)]
         socket = assign(socket, layout: layout, saved: layout, layouts: names, dialog: nil)
         {:noreply, push_event(socket, "toast", %{text: "Layout saved"})}
@@ -177,8 +177,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
     if layout != saved and layout.name != Layout.Auto.layout_name() and
          Settings.load(assigns.layout_dir).keep == :at_once do
-      case Layouts.save(assigns.layout_dir, layout) do
-        :ok -> assign(socket, layout: layout, saved: layout)
+      case Layouts.save(assigns.layout_dir, layout, saved) do
+        {:ok, layout} -> assign(socket, layout: layout, saved: layout)
         {:error, error} -> show_toast(socket, error)
       end
     else

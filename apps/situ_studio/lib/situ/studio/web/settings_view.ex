@@ -43,7 +43,7 @@ defmodule Situ.Studio.Web.SettingsView do
   def handle_event("settings", params, %{assigns: %{read_only: false}} = socket) do
     settings = Settings.put_values(socket.assigns.settings, params)
 
-    case Settings.save(socket.assigns.folder, settings) do
+    case Settings.save(socket.assigns.folder, settings, socket.assigns.settings) do
       :ok -> {:noreply, socket |> assign(settings: settings) |> show_toast("Settings saved")}
       {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
     end

@@ -342,7 +342,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   end
 
   defp edit_dataset(assigns, fun, changes \\ []) do
-    with {:ok, dataset} <- Datasets.edit(assigns.server, assigns.file, fun),
+    with {:ok, dataset} <- Datasets.edit(assigns.server, fun),
          do: {:ok, [dataset: dataset, dialog: nil] ++ changes}
   end
 
