@@ -1,5 +1,5 @@
-# One program that edits a dataset and a layer of annotations, and writes a line for each acknowledged edit. It continues
-# after its last acknowledged edit. Usage: worker.exs STUDY.json STORE NAME EDITS ACKNOWLEDGED
+# One program that edits a dataset and a layer of annotations, and writes a line for each acknowledged edit. It
+# continues after its last acknowledged edit. Usage: worker.exs STUDY.json STORE NAME EDITS ACKNOWLEDGED
 alias Situ.{Annotation, Dataset}
 alias Situ.Annotation.{Editor, Layer, Schema}
 

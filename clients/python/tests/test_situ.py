@@ -375,7 +375,7 @@ class StoreTest(unittest.TestCase):
             again.save()
             with open(path + ".edits") as file:
                 kinds = [json.loads(line[9:]).get("kind") for line in file]
-            self.assertEqual(kinds, [None, "edit", "edit", "edit", "edit", "outside", "edit"])
+            self.assertEqual(kinds, [None, None, "edit", "edit", "edit", "edit", "outside", "edit"])
 
     def test_datasets_keep_unknown_members(self):
         with tempfile.TemporaryDirectory() as root:

@@ -41,8 +41,8 @@ defmodule Situ.Dataset do
 
   Paths are relative to the file and use forward slashes, so the file and its recordings can be moved together. Saving
   keeps unknown fields of the file. `priv/schema/dataset.schema.json` of this app describes all fields. Situ adds the
-  field `edits`, which relates the file to its log. If a person has changed the file, the next program that opens it adds
-  the change to the log. Files of more than 64 KB may be some edits behind their log, until `write_file/1`.
+  field `edits`, which relates the file to its log. If a person has changed the file, the next program that opens it
+  adds the change to the log. Files of more than 64 KB may be some edits behind their log, until `write_file/1`.
   """
   # A dataset is a value and a JSON file, not a process or a database, because people edit it and
   # move it together with the recordings. Partitions are names and relative paths, and a recording
@@ -60,7 +60,7 @@ defmodule Situ.Dataset do
     Summary
   }
 
-  alias Situ.EditLog.Document
+  alias Situ.EditLog.{Document, Merging}
   alias Situ.{Error, Options}
 
   @options [
@@ -194,7 +194,7 @@ defmodule Situ.Dataset do
       file |> Document.put(DatasetDocument, Map.take(dataset, @fields)) |> take_document(dataset)
 
   def save(%__MODULE__{document: document} = dataset),
-    do: document |> Document.merge(list_changes(dataset), []) |> take_document(dataset)
+    do: document |> Merging.merge(list_changes(dataset), []) |> take_document(dataset)
 
   @doc """
   Writes the dataset to another file, which becomes its file. An existing dataset file gets the content of this dataset,
@@ -226,7 +226,7 @@ defmodule Situ.Dataset do
     changes = list_changes(dataset)
 
     edit = fn content ->
-      with {:ok, content} <- Document.merge_content(document, content, changes),
+      with {:ok, content} <- Merging.merge_content(document, content, changes),
            {:ok, changed} <- fun.(struct!(%{dataset | autosave?: false}, content)),
            do: {:ok, Map.take(changed, @fields)}
     end
@@ -240,7 +240,7 @@ defmodule Situ.Dataset do
 
   def refresh(%__MODULE__{document: document} = dataset) do
     with {:ok, document} <- Document.refresh(document) do
-      case Document.merge_content(document, document.content, list_changes(dataset)) do
+      case Merging.merge_content(document, document.content, list_changes(dataset)) do
         {:ok, content} -> {:ok, struct!(%{dataset | document: document}, content)}
         error -> take_document(error, dataset)
       end

@@ -73,7 +73,7 @@ defmodule Situ.EditLog do
   def open(document) do
     log = %__MODULE__{path: log_path(document)}
 
-    case read_from(log.path, 0) do
+    case read_from(log.path, 0, @page) do
       {:ok, inode, bytes} -> parse_header(%{log | inode: inode}, bytes)
       :none -> {:ok, log}
       {:error, reason} -> {:error, unreadable_error(log, reason)}
@@ -82,15 +82,28 @@ defmodule Situ.EditLog do
 
   defp parse_header(log, bytes) do
     case Lines.parse_first(bytes) do
-      {:ok, %{"log" => id, "version" => 1} = header, size} ->
-        {:ok, %{log | id: id, header: header, offset: size}}
+      {:ok, %{"log" => id, "version" => 1, "base_bytes" => base} = header, size} ->
+        {:ok, %{log | id: id, header: header, offset: size + base}}
 
       # A crash while the log was created.
-      :incomplete ->
+      :incomplete when byte_size(bytes) < @page ->
         {:ok, %{log | inode: nil}}
 
       _ ->
         {:error, damaged_error(log, 0)}
+    end
+  end
+
+  @doc "Returns the document from which the log began. Error: `:bad_log`."
+  @spec read_base(t()) :: {:ok, map()} | {:error, Error.t()}
+  def read_base(%{header: header} = log) do
+    with {:ok, _inode, first} <- read_from(log.path, 0, @page),
+         {:ok, _header, size} <- Lines.parse_first(first),
+         {:ok, _inode, bytes} <- read_from(log.path, size, header["base_bytes"]),
+         {:ok, %{"base" => %{} = base}, _} <- Lines.parse_first(bytes) do
+      {:ok, base}
+    else
+      _ -> {:error, damaged_error(log, 0)}
     end
   end
 
@@ -132,7 +145,7 @@ defmodule Situ.EditLog do
   end
 
   defp read_entries(log) do
-    with {:ok, _inode, bytes} <- read_from(log.path, log.offset),
+    with {:ok, _inode, bytes} <- read_from(log.path, log.offset, :all),
          {:ok, entries, size} <- Lines.parse_entries(bytes, log.n + 1) do
       {:ok, %{log | n: log.n + length(entries), offset: log.offset + size}, entries}
     else
@@ -144,12 +157,12 @@ defmodule Situ.EditLog do
     end
   end
 
-  defp read_from(path, offset) do
+  defp read_from(path, offset, size) do
     case :file.open(path, [:read, :raw, :binary]) do
       {:ok, device} ->
         {:ok, {inode, _, _}} = Disk.file_stat(path)
         {:ok, ^offset} = :file.position(device, offset)
-        pages = read_pages(device, [])
+        pages = if size == :all, do: read_pages(device, []), else: read_page(device, size)
         _ = :file.close(device)
         with {:ok, bytes} <- pages, do: {:ok, inode, bytes}
 
@@ -161,6 +174,10 @@ defmodule Situ.EditLog do
     end
   end
 
+  defp read_page(device, size) do
+    with :eof <- :file.read(device, size), do: {:ok, ""}
+  end
+
   defp read_pages(device, pages) do
     case :file.read(device, @page) do
       {:ok, page} -> read_pages(device, [pages, page])
@@ -169,16 +186,21 @@ defmodule Situ.EditLog do
     end
   end
 
-  @doc "Creates the log with a header. The caller holds the lock. Error: `:not_saved`."
-  @spec create(t(), map()) :: {:ok, t()} | {:error, Error.t()}
-  def create(log, header) do
+  @doc """
+  Creates the log with a header and the document from which it begins (`nil` if the header describes it). The caller
+  holds the lock. Error: `:not_saved`.
+  """
+  @spec create(t(), map(), map() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def create(log, header, base \\ nil) do
     id = 8 |> :crypto.strong_rand_bytes() |> Base.encode16(case: :lower)
-    header = Map.merge(header, %{"log" => id, "version" => 1})
-    line = IO.iodata_to_binary(Lines.encode(header))
+    second = if base, do: IO.iodata_to_binary(Lines.encode(%{"base" => base})), else: ""
+    own = %{"log" => id, "version" => 1, "base_bytes" => byte_size(second)}
+    header = Map.merge(header, own)
+    lines = IO.iodata_to_binary([Lines.encode(header), second])
 
-    with :ok <- Disk.replace(log.path, line),
+    with :ok <- Disk.replace(log.path, lines),
          {:ok, {inode, _, _}} <- Disk.file_stat(log.path) do
-      {:ok, %{log | id: id, header: header, inode: inode, n: 0, offset: byte_size(line)}}
+      {:ok, %{log | id: id, header: header, inode: inode, n: 0, offset: byte_size(lines)}}
     else
       {:error, reason} -> {:error, not_saved_error(log.path, reason)}
     end

@@ -55,8 +55,8 @@ defmodule Situ.EditLogTest do
         "tags" => Enum.sort(json["tags"])
     }
 
-  # An edit is {writer, key, crash}: the writer sets its own member `key` to the next number. A crash happens at the n-th
-  # step on the disk, before it or in the middle of it, or the disk is full.
+  # An edit is {writer, key, crash}: the writer sets its own member `key` to the next number. A crash happens at the
+  # n-th step on the disk, before it or in the middle of it, or the disk is full.
   defp edits do
     list(
       {integer(1, 3), one_of(~w(k l m)),

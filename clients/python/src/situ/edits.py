@@ -196,9 +196,12 @@ def read_log(path, mark=None):
                 if not file.readline():
                     return None  # a crash while the log was created
                 raise ValueError(f"the log of edits {path}.edits is damaged: it has no header")
-            number, offset = 1, len(first)
+            header["base"] = None
+            number, offset = 1, len(first) + header["base_bytes"]
             if mark and mark.get("log") == header["log"] and mark["offset"] >= offset:
                 number, offset = mark["version"] + 1, mark["offset"]
+            else:
+                header["base"] = (decode_line(file.readline()[:-1]) or {}).get("base")
             file.seek(offset)
             lines = file.read().split(b"\n")[:-1]
     except FileNotFoundError:
@@ -383,10 +386,11 @@ class Document:
             replace_file(self.path, text)
 
     def create_log(self, base):
-        header = {"log": secrets.token_hex(8), "version": 1, "base": base, "digest": digest_of(self.text)}
-        line = encode_line(header)
-        replace_file(self.path + ".edits", line)
-        self.log = header, [], len(line)
+        second = encode_line({"base": base})
+        header = {"log": secrets.token_hex(8), "version": 1, "base_bytes": len(second), "digest": digest_of(self.text)}
+        lines = encode_line(header) + second
+        replace_file(self.path + ".edits", lines)
+        self.log = header, [], len(lines)
 
     def append(self, kind, changes, more):
         header, entries, offset = self.log

@@ -1,14 +1,14 @@
 defmodule Situ.Annotation.EditMerge do
   @moduledoc false
-  # Decides whether an edit that a person made while looking at an earlier version can be merged: nobody else has changed
-  # the same fields of an annotation since, nor deleted it.
+  # Decides whether an edit that a person made while looking at an earlier version can be merged: nobody else has
+  # changed the same fields of an annotation since, nor deleted it.
   alias Situ.Annotation.{Layer, LayerOperation}
   alias Situ.EditLog.Entry
   alias Situ.Error
 
   @doc """
-  Checks a transaction against the entries (newest first) after the option `version:` (default: none) that a person other
-  than `by:` has made. Error: `:stale_edit`, which names the other person.
+  Checks a transaction against the entries (newest first) after the option `version:` (default: none) that a person
+  other than `by:` has made. Error: `:stale_edit`, which names the other person.
   """
   @spec check_version([Entry.t()], Layer.transaction(), keyword()) :: :ok | {:error, Error.t()}
   def check_version(entries, transaction, opts) do

@@ -17,9 +17,10 @@ defmodule Situ.Annotation.Editor do
       iex> File.rm_rf!(Path.dirname(path)) != []
       true
 
-  Every edit is an operation in the log `ROOT/NAME.STREAM.edits`, and is on disk before `edit/3` returns. `save/1` writes
-  a new version of the store (`Situ.Annotation.Recording`) for programs that read annotations. An editor that starts
-  reads the newest version and the operations after it; `recovered` in `status/1` is the number of these operations.
+  Every edit is an operation in the log `ROOT/NAME.STREAM.edits`, and is on disk before `edit/3` returns. `save/1`
+  writes a new version of the store (`Situ.Annotation.Recording`) for programs that read annotations. An editor that
+  starts reads the newest version and the operations after it; `recovered` in `status/1` is the number of these
+  operations.
   Subscribers receive `{:situ_annotation, pid, transaction}` after every edit, undo and redo, `{:situ_annotation, pid,
   :reloaded}` after edits of other programs, and `{:situ_annotation, pid, :saved}`.
 
@@ -86,12 +87,13 @@ defmodule Situ.Annotation.Editor do
   @doc """
   Applies an edit and returns `{:ok, layer}`. The edit is a function `layer -> {:ok, layer, transaction} |
   {:error, error}`, from `Situ.Annotation.Layer` or `Situ.Annotation.Edit`, for example. Undone edits can no longer be
-  redone. Options: `by:`, the name of the person in the history, and `version:`, the version that the person has seen.
-  Errors: those of the function, `:stale_edit` if another person has changed the same fields since that version,
+  redone. Options: `by:`, the name of the person in the history, `version:`, the version that the person has seen, and
+  `reply: :version` to return `{:ok, version}`: a large layer takes long to copy to the calling process.
+  Errors: the errors of the function, `:stale_edit` if another person has changed the same fields since that version,
   `:not_saved`, `:in_use`, and `:no_locks`.
   """
   @spec edit(server(), (Layer.t() -> Layer.edited()), keyword()) ::
-          {:ok, Layer.t()} | {:error, Error.t()}
+          {:ok, Layer.t() | pos_integer()} | {:error, Error.t()}
   def edit(server, fun, opts \\ []) when is_function(fun, 1),
     do: GenServer.call(server, {:edit, fun, opts}, 60_000)
 
@@ -176,7 +178,7 @@ defmodule Situ.Annotation.Editor do
   def handle_call({:edit, fun, opts}, {pid, _}, state) do
     state
     |> remember_writer(pid)
-    |> run_locked(fn document ->
+    |> run_locked(opts[:reply], fn document ->
       with {:ok, %Layer{}, transaction} <- run_edit(fun, document.layer),
            :ok <- EditMerge.check_version(document.entries, transaction, opts),
            do:
@@ -218,13 +220,13 @@ defmodule Situ.Annotation.Editor do
   defp reply_folder(reply, _before), do: reply
 
   # The editor first reads the edits of other programs, and keeps them even if its own edit then fails.
-  defp run_locked(state, fun) do
+  defp run_locked(state, reply \\ nil, fun) do
     EditLog.with_lock(state.document.document, fn ->
       with {:ok, document} <- LayerDocument.catch_up(state.document) do
         state = put_document(state, document)
 
         case fun.(document) do
-          {:ok, later} -> {:reply, {:ok, later.layer}, put_edit(state, later)}
+          {:ok, later} -> {:reply, {:ok, choose_reply(later, reply)}, put_edit(state, later)}
           error -> {:reply, error, state}
         end
       end
@@ -234,6 +236,9 @@ defmodule Situ.Annotation.Editor do
       error -> {:reply, error, state}
     end
   end
+
+  defp choose_reply(document, :version), do: document.log.n
+  defp choose_reply(document, nil), do: document.layer
 
   defp put_document(%{document: before} = state, document) do
     state = %{state | document: document}

@@ -21,7 +21,7 @@ defmodule Situ.Annotation.History do
   A layer is `{store, stream}`, where `store` is the path of the store without a version, as for
   `Situ.Annotation.Editor`. A version is the state after the operation of that number. It is written as `12`, `v12`,
   `now`, or the name that `name_version/3` gave it; `0` is the state before the first operation in the log. While an
-  editor of the layer is running in this program, use its functions for changes, so that subscribers are notified at once.
+  editor of the layer is running in this program, use its functions, so that subscribers are notified at once.
   """
   alias Situ.Annotation.{Layer, LayerDocument, LayerHistory, LayerOperation}
   alias Situ.{EditLog, Error}
@@ -61,7 +61,7 @@ defmodule Situ.Annotation.History do
   def fetch_layer({path, stream}, version) do
     with {:ok, document} <- LayerDocument.open(path, stream, nil),
          {:ok, n} <- find_version(document, version),
-         do: LayerDocument.layer_at(document, n)
+         do: LayerHistory.layer_at(document, n)
   end
 
   defp find_version(document, version) do
@@ -79,7 +79,7 @@ defmodule Situ.Annotation.History do
   end
 
   @doc """
-  Restores a version by a new operation, saves it, and returns the layer. Errors: `:no_version`, and those of
+  Restores a version by a new operation, saves it, and returns the layer. Errors: `:no_version`, and the errors of
   `Situ.Annotation.Editor.edit/3` and `Situ.Annotation.Editor.save/1`.
   """
   @spec restore(layer(), String.t()) :: {:ok, Layer.t()} | {:error, Error.t()}

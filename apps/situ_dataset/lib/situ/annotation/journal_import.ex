@@ -9,8 +9,8 @@ defmodule Situ.Annotation.JournalImport do
   alias Situ.Store.FileLock
 
   @typedoc """
-  The newest version (the store's folder; `nil` before the first version), the digest of the stream in it (`nil` if it is
-  not stored), and the layer.
+  The newest version (the store's folder; `nil` before the first version), the digest of the stream in it (`nil` if it
+  is not stored), and the layer.
   """
   @type base :: {Path.t() | nil, String.t() | nil, Layer.t()}
 
@@ -20,9 +20,9 @@ defmodule Situ.Annotation.JournalImport do
     do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
 
   @doc """
-  Returns the edits of the journal that are not yet in `base`, oldest first. Edits that fit neither version are kept next
-  to the journal under another name. Returns no edits while a program of an earlier release holds the journal, which
-  saves them itself. Error: `:bad_journal`.
+  Returns the edits of the journal that are not yet in `base`, oldest first. Edits that fit neither version are kept
+  next to the journal under another name. Returns no edits while a program of an earlier release holds the journal,
+  because that program saves them. Error: `:bad_journal`.
   """
   @spec read(Path.t(), String.t(), base()) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
   def read(store, stream, base) do
@@ -82,8 +82,8 @@ defmodule Situ.Annotation.JournalImport do
     end
   end
 
-  # The edits apply to an earlier version. Either they were saved and the journal was not removed yet, or another program
-  # has saved the stream.
+  # The edits apply to an earlier version. Either they were saved and the journal was not removed yet, or another
+  # program has saved the stream.
   defp rebase_older(path, {older, transactions}, {layer, store, stream}) do
     case already_saved?(older, transactions, {layer, store, stream}) do
       true -> {remove_file(path), []}

@@ -1,9 +1,9 @@
 defmodule Situ.Annotation.LayerDocument do
   @moduledoc false
-  # A layer of annotations and the log of its edits, `ROOT/NAME.STREAM.edits`. Every edit is an operation in the log, and
-  # a save writes a version of the store `ROOT/NAME` that contains the operations so far. The layer is the newest version
-  # with a mark of the log, and the operations after it. A version without a mark, from a program that does not use the
-  # log, becomes an operation; if it contradicts the log, the log is kept, and `shadowed` is this version.
+  # A layer of annotations and the log of its edits, `ROOT/NAME.STREAM.edits`. Every edit is an operation in the log.
+  # A save writes a version of the store `ROOT/NAME` that contains the operations so far. The layer is the newest
+  # version with a mark of the log, and the operations after it. A version without a mark, from a program that does not
+  # use the log, becomes an operation. If it contradicts the log, the log is kept, and `shadowed` is this version.
   # See docs/adr/0176-annotation-layers-merge-operations.md.
   alias Situ.Annotation.{
     JournalImport,
@@ -74,6 +74,10 @@ defmodule Situ.Annotation.LayerDocument do
         else: {:ok, state}
     end
   end
+
+  @doc "Opens a layer while the caller holds the lock of its document (`document_path/2`)."
+  @spec open_locked(Path.t(), String.t(), Schema.t() | nil) :: result()
+  def open_locked(path, stream, schema), do: path |> new_state(stream) |> open_locked(schema)
 
   defp new_state(path, stream) do
     path = Path.expand(path)
@@ -168,40 +172,6 @@ defmodule Situ.Annotation.LayerDocument do
     end
   end
 
-  @doc """
-  Creates a layer with these annotations and writes the first version. Error: `:layer_exists`, also if the layer has
-  edits that were never saved.
-  """
-  @spec create(Path.t(), String.t(), Layer.t()) :: :ok | {:error, Error.t()}
-  def create(path, stream, %Layer{} = layer) do
-    state = new_state(path, stream)
-
-    EditLog.with_lock(state.document, fn ->
-      with {:ok, state} <- open_locked(state, layer.schema),
-           :ok <- check_new(state),
-           {:ok, state} <- append_layer(state, layer),
-           {:ok, _} <- write_version(state),
-           do: :ok
-    end)
-  end
-
-  defp check_new(%{base: nil, log: %{n: 0}}), do: :ok
-
-  defp check_new(state) do
-    {:error,
-     Error.new(:layer_exists, "there already is a layer named #{inspect(state.stream)}",
-       fix: "choose another name, or open that layer"
-     )}
-  end
-
-  defp append_layer(state, layer) do
-    operation = LayerOperation.diff_layers(%{state.layer | schema: layer.schema}, layer)
-
-    if LayerOperation.empty?(operation),
-      do: {:ok, state},
-      else: append(state, "edit", operation, note: "created the layer")
-  end
-
   @doc "Applies the operations that other programs have added to the log."
   @spec read_entries(t()) :: result()
   def read_entries(state) do
@@ -231,7 +201,7 @@ defmodule Situ.Annotation.LayerDocument do
     state = %{state | entries: keep_latest([entry | state.entries])}
 
     case entry do
-      # The state is what the other program stored, unless there were unsaved edits.
+      # Without unsaved edits, the state is the content of the other program's version.
       %{kind: "outside", note: nil, n: n} when state.saved == n - 1 ->
         %{state | saved: n}
 
@@ -412,26 +382,4 @@ defmodule Situ.Annotation.LayerDocument do
   @doc "Returns whether no version contains the layer."
   @spec unsaved?(t()) :: boolean()
   def unsaved?(state), do: state.log.n > state.saved
-
-  @doc """
-  Returns the layer after the operation `version`. Version 0 is the layer before the first operation in the log.
-  """
-  @spec layer_at(t(), non_neg_integer()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def layer_at(state, version) do
-    with {:ok, _log, entries} <- EditLog.read_all(state.document) do
-      entries
-      |> Enum.drop(version)
-      |> Enum.reverse()
-      |> Enum.reduce_while({:ok, state.layer}, fn entry, {:ok, layer} ->
-        case LayerOperation.apply_entry(layer, %{
-               entry
-               | kind: "edit",
-                 do: LayerOperation.invert(entry.do)
-             }) do
-          {:ok, layer} -> {:cont, {:ok, layer}}
-          _ -> {:halt, {:error, EditLog.damaged_error(state.log, 0)}}
-        end
-      end)
-    end
-  end
 end

@@ -1,9 +1,10 @@
 defmodule Situ.Annotation.LayerHistory do
   @moduledoc false
-  # Undo, redo, named and restored versions of a layer. The caller holds the lock of the document and has caught up.
-  alias Situ.Annotation.{LayerDocument, LayerOperation}
+  # Creates layers, and undoes, names and restores their versions. Except for `create_layer/3`, the caller holds the
+  # lock of the document and has caught up.
+  alias Situ.Annotation.{Layer, LayerDocument, LayerOperation}
+  alias Situ.{EditLog, Error}
   alias Situ.EditLog.{Entry, Versions}
-  alias Situ.Error
 
   @doc "Appends an operation unless it changes nothing."
   @spec append(LayerDocument.t(), String.t(), map(), keyword()) :: LayerDocument.result()
@@ -42,7 +43,7 @@ defmodule Situ.Annotation.LayerHistory do
   @doc "Restores the layer of an earlier version by a new operation."
   @spec restore(LayerDocument.t(), non_neg_integer(), keyword()) :: LayerDocument.result()
   def restore(document, version, opts) do
-    with {:ok, layer} <- LayerDocument.layer_at(document, version) do
+    with {:ok, layer} <- layer_at(document, version) do
       operation = LayerOperation.diff_layers(document.layer, layer)
       append(document, "restore", operation, [{:of, version} | opts])
     end
@@ -52,4 +53,55 @@ defmodule Situ.Annotation.LayerHistory do
   @spec name_version(LayerDocument.t(), String.t(), non_neg_integer()) :: LayerDocument.result()
   def name_version(document, name, version),
     do: append(document, "name", %{"annotations" => []}, of: version, note: name)
+
+  @doc """
+  Returns the layer after the operation `version`. Version 0 is the layer before the first operation in the log. Error:
+  `:bad_log`.
+  """
+  @spec layer_at(LayerDocument.t(), non_neg_integer()) :: {:ok, Layer.t()} | {:error, Error.t()}
+  def layer_at(document, version) do
+    with {:ok, log, entries} <- EditLog.read_all(document.document) do
+      entries
+      |> Enum.drop(version)
+      |> Enum.reverse()
+      |> Enum.reduce_while({:ok, document.layer}, &revert_entry(&1, &2, log))
+    end
+  end
+
+  defp revert_entry(entry, {:ok, layer}, log) do
+    inverse = %{entry | kind: "edit", do: LayerOperation.invert(entry.do)}
+
+    case LayerOperation.apply_entry(layer, inverse) do
+      {:ok, layer} -> {:cont, {:ok, layer}}
+      _ -> {:halt, {:error, EditLog.damaged_error(log, 0)}}
+    end
+  end
+
+  @doc """
+  Creates a layer with these annotations in the store `path` and writes the first version. Error: `:layer_exists`, also
+  if the layer has edits that were never saved.
+  """
+  @spec create_layer(Path.t(), String.t(), Layer.t()) :: :ok | {:error, Error.t()}
+  def create_layer(path, stream, %Layer{} = layer) do
+    path = Path.expand(path)
+
+    EditLog.with_lock(LayerDocument.document_path(path, stream), fn ->
+      with {:ok, document} <- LayerDocument.open_locked(path, stream, layer.schema),
+           :ok <- check_new(document),
+           operation =
+             LayerOperation.diff_layers(%{document.layer | schema: layer.schema}, layer),
+           {:ok, document} <- append(document, "edit", operation, note: "create the layer"),
+           {:ok, _} <- LayerDocument.write_version(document),
+           do: :ok
+    end)
+  end
+
+  defp check_new(%{base: nil, log: %{n: 0}}), do: :ok
+
+  defp check_new(document) do
+    {:error,
+     Error.new(:layer_exists, "there already is a layer named #{inspect(document.stream)}",
+       fix: "choose another name, or open that layer"
+     )}
+  end
 end

@@ -83,7 +83,7 @@ defmodule Situ.Annotation.LayerOperation do
     end
   end
 
-  @doc "Applies an entry of a log to a layer. Errors: those of `Situ.Annotation.Layer.apply_transaction/2`."
+  @doc "Applies an entry of a log to a layer. Errors: the errors of `Situ.Annotation.Layer.apply_transaction/2`."
   @spec apply_entry(Layer.t(), Entry.t()) :: {:ok, Layer.t()} | {:error, Situ.Error.t()} | :error
   def apply_entry(%Layer{} = layer, %Entry{kind: kind, do: operation}) do
     with {:ok, transaction} <- parse_transaction(operation),

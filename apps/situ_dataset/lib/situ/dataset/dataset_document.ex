@@ -53,6 +53,7 @@ defmodule Situ.Dataset.DatasetDocument do
         before.sessions,
         later.sessions,
         ["sessions"],
+        &Changes.diff/3,
         &FileFormat.session_json(&1, path)
       )
   end

@@ -72,19 +72,19 @@ defmodule Situ.Dataset.History do
     end
   end
 
-  @doc "Restores a version by a new operation. Errors: `:no_version`, and those of `Situ.Dataset.update/3`."
+  @doc "Restores a version by a new operation. Errors: `:no_version`, and the errors of `Situ.Dataset.update/3`."
   @spec restore(Dataset.t(), String.t()) :: Dataset.result()
   def restore(dataset, version),
     do: change(dataset, &DocumentHistory.restore(&1, version, write: true))
 
   @doc """
   Undoes this user's last edit, also of an earlier program. Errors: `:nothing_to_undo`, `:dataset_changed` if somebody
-  has changed the same field since, and those of `Situ.Dataset.update/3`.
+  has changed the same field since, and the errors of `Situ.Dataset.update/3`.
   """
   @spec undo(Dataset.t()) :: Dataset.result()
   def undo(dataset), do: change(dataset, &DocumentHistory.undo(&1, write: true))
 
-  @doc "Redoes the edit that this user undid last. Errors: `:nothing_to_redo`, and those of `undo/1`."
+  @doc "Redoes the edit that this user undid last. Errors: `:nothing_to_redo`, and the errors of `undo/1`."
   @spec redo(Dataset.t()) :: Dataset.result()
   def redo(dataset), do: change(dataset, &DocumentHistory.redo(&1, write: true))
 

@@ -104,8 +104,8 @@ defmodule Situ.Dataset.Server do
   # Edits of a large dataset are in its log first. The file follows when there was no edit for a while.
   defp schedule_write(%{dataset: dataset, timer: timer} = state) do
     if timer, do: Process.cancel_timer(timer)
-    behind? = dataset.document != nil and Document.behind?(dataset.document)
-    %{state | timer: if(behind?, do: Process.send_after(self(), :write_file, @write_ms))}
+    due? = dataset.document != nil and Document.write_due?(dataset.document)
+    %{state | timer: if(due?, do: Process.send_after(self(), :write_file, @write_ms))}
   end
 
   # The function comes from the caller: an exception in it must not lose the edits of other users.

@@ -27,7 +27,7 @@ defmodule Situ.Dataset.SessionLayers do
   same name.
   """
   # See docs/adr/0169-the-layers-of-a-session-are-one-store.md.
-  alias Situ.Annotation.{Layer, LayerDocument, Recording}
+  alias Situ.Annotation.{Layer, LayerHistory, Recording}
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{LayersPartition, NameRules, OpenSession, Partition, Session}
 
@@ -98,7 +98,8 @@ defmodule Situ.Dataset.SessionLayers do
   """
   @spec write_layer(Path.t(), String.t(), Layer.t()) :: :ok | {:error, Error.t()}
   def write_layer(path, name, %Layer{} = layer) do
-    with :ok <- NameRules.check_valid(name, "layer"), do: LayerDocument.create(path, name, layer)
+    with :ok <- NameRules.check_valid(name, "layer"),
+         do: LayerHistory.create_layer(path, name, layer)
   end
 
   @doc """

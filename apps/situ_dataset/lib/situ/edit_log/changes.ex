@@ -1,11 +1,11 @@
 defmodule Situ.EditLog.Changes do
   @moduledoc false
   # The operations on a JSON document: the differences of two states as a list of changes, each of which names its place
-  # by a path. Changes at different places commute. A change at a place that another program has changed in a different
-  # way is a conflict.
+  # by a path. Changes at different places commute. If another program has changed a place in a different way, a
+  # change of this place is a conflict.
   #
-  # A path is a list of keys. In a list of objects with names or ids, such as the sessions of a dataset, it is the name or id; in
-  # a list of different strings, such as tags, it is the string. Any other list is one value.
+  # A path is a list of keys. In a list of objects with names or ids, such as the sessions of a dataset, the key is the
+  # name or id. In a list of different strings, such as tags, it is the string. Any other list is one value.
   #
   #     ["add", PATH, VALUE, INDEX]  ["remove", PATH, VALUE, INDEX]  ["set", PATH, BEFORE, AFTER]
   #     ["rename", PATH, BEFORE, AFTER]  ["order", PATH, KEYS_BEFORE, KEYS_AFTER]
@@ -37,7 +37,7 @@ defmodule Situ.EditLog.Changes do
 
   def diff(before, later, path) when is_list(before) and is_list(later) do
     if Listing.keyed?(before, later),
-      do: Listing.diff(before, later, path),
+      do: Listing.diff(before, later, path, &diff/3),
       else: [["set", path, before, later]]
   end
 

@@ -8,7 +8,7 @@ defmodule Situ.EditLog.Document do
   # not fit, somebody has edited the file itself. The difference from that version then becomes an operation, too.
   # See docs/adr/0175-documents-are-files-with-a-log.md.
   alias Situ.{EditLog, Error}
-  alias Situ.EditLog.{Changes, Description, Disk, Entry, Mark}
+  alias Situ.EditLog.{Changes, Disk, Entry, Mark, Replay}
 
   @small 65_536
   @largest 64 * 1024 * 1024
@@ -18,7 +18,7 @@ defmodule Situ.EditLog.Document do
   @typedoc "The state of a document: a struct, or any term that the format understands."
   @type content :: term()
 
-  @doc "Parses the text of a file. `mark` are the fields of `edits`. Returns the reason in words if it is no document."
+  @doc "Parses the text of a file. `mark` are the fields of `edits`. The error is the reason in words."
   @callback parse(text :: binary(), Path.t()) ::
               {:ok, content(), mark :: map() | nil} | {:error, String.t()}
   @doc "Encodes the text of a file, with the text of the member `edits`."
@@ -133,7 +133,7 @@ defmodule Situ.EditLog.Document do
   end
 
   defp apply_entries(document, {log, entries}) do
-    case apply_changes(document, Enum.flat_map(entries, &entry_changes/1)) do
+    case apply_changes(document, Replay.list_changes(entries)) do
       {:ok, content} -> {:ok, %{document | content: content, log: log}}
       {:conflict, _} -> {:error, EditLog.damaged_error(log, log.offset)}
     end
@@ -150,11 +150,6 @@ defmodule Situ.EditLog.Document do
     end)
   end
 
-  @doc "Returns the changes of an entry of a log."
-  @spec entry_changes(Entry.t()) :: [Changes.change()]
-  def entry_changes(%{do: %{"changes" => changes}}) when is_list(changes), do: changes
-  def entry_changes(_entry), do: []
-
   # Takes over an edit of the file itself, while the document is locked.
   defp adopt_file(document, mark) do
     with {:ok, merged, changes} <- merge_file(document, mark),
@@ -163,48 +158,16 @@ defmodule Situ.EditLog.Document do
          do: write_file(merged)
   end
 
-  # The file's edits apply to the version that it names. They replace other changes of the same places.
   defp merge_file(%{path: path, format: format} = document, mark) do
-    with {:ok, log, entries} <- EditLog.read_all(path),
-         {:ok, now} <- replay_json(log, entries),
-         {:ok, base} <- file_base(log, {entries, now}, mark) do
-      edits =
-        if adopted?(entries, document.digest),
-          do: [],
-          else: Changes.diff(base, format.to_json(document.content, path))
+    file = {format.to_json(document.content, path), mark, document.digest}
 
-      merged = Enum.reduce(edits, now, &Changes.force_change(&2, &1))
-
-      with {:ok, before} <- from_json(document, now),
-           {:ok, later} <- from_json(document, merged) do
-        changes = format.diff(before, later, path)
-        {:ok, %{document | log: log, content: later, written: log.offset}, changes}
-      end
+    with {:ok, log, now, merged} <- Replay.merge_file(path, file),
+         {:ok, before} <- from_json(document, now),
+         {:ok, later} <- from_json(document, merged) do
+      merged = %{document | log: log, content: later, written: log.offset}
+      {:ok, merged, format.diff(before, later, path)}
     end
   end
-
-  # A program that took over the file's edits was killed before it wrote the file.
-  defp adopted?(entries, digest) do
-    last = entries |> Enum.reverse() |> Enum.find(&(&1.kind == "outside"))
-    last != nil and last.of == digest
-  end
-
-  defp file_base(%{id: id} = log, {entries, now}, %{"log" => id, "version" => version}) do
-    if version <= log.n,
-      do: replay_json(log, Enum.take(entries, version)),
-      else: {:ok, now}
-  end
-
-  defp file_base(_log, {_entries, now}, _mark), do: {:ok, now}
-
-  defp replay_json(%{header: %{"base" => %{} = base}} = log, entries) do
-    case Changes.apply_all(base, Enum.flat_map(entries, &entry_changes/1)) do
-      {:ok, json} -> {:ok, json}
-      {:conflict, _} -> {:error, EditLog.damaged_error(log, log.offset)}
-    end
-  end
-
-  defp replay_json(log, _entries), do: {:error, EditLog.damaged_error(log, 0)}
 
   defp from_json(document, json) do
     with :error <- document.format.from_json(json, document.path),
@@ -248,9 +211,9 @@ defmodule Situ.EditLog.Document do
   end
 
   @doc """
-  Changes the current content with a function `content -> {:ok, content} | {:ok, content, opts} | {:error, error}`. Other
-  programs wait in the meantime. Options: those of `Situ.EditLog.Entry.new/3`, `kind:` (default `edit`), and `write:`
-  `true` to write a large file, too. Errors: those of `fun`, `:in_use`, `:no_locks`, `:not_saved`.
+  Changes the current content with a function `content -> {:ok, content} | {:ok, content, opts} | {:error, error}`.
+  Other programs wait in the meantime. Options: the options of `Situ.EditLog.Entry.new/3`, `kind:` (default `edit`), and
+  `write: true` to write a large file, too. Errors: the errors of `fun`, `:in_use`, `:no_locks`, `:not_saved`.
   """
   @spec edit(t(), (content() -> edited()), keyword()) :: result()
   def edit(document, fun, opts \\ []) do
@@ -311,7 +274,7 @@ defmodule Situ.EditLog.Document do
 
   defp replay_missing(document) do
     with {:ok, log, entries} <- EditLog.read_all(document.path),
-         {:ok, json} <- replay_json(log, entries),
+         {:ok, json} <- Replay.apply_entries(log, entries),
          {:ok, content} <- from_json(document, json),
          do: {:ok, %{document | log: log, content: content}}
   end
@@ -337,7 +300,7 @@ defmodule Situ.EditLog.Document do
 
   defp ensure_log(%{log: %{id: nil}} = document) do
     base = document.format.to_json(document.content, document.path)
-    EditLog.create(document.log, %{"base" => base, "digest" => document.digest})
+    EditLog.create(document.log, %{"digest" => document.digest}, base)
   end
 
   defp ensure_log(%{log: log}), do: {:ok, log}
@@ -421,46 +384,9 @@ defmodule Situ.EditLog.Document do
          do: write_file(%{current | content: new.content})
   end
 
-  @doc """
-  Applies changes that were made to an earlier state, such as `origin`, to the current one. Error: `:conflict` if
-  another program has changed the same places differently. Options: see `edit/3`.
-  """
-  @spec merge(t(), [Changes.change()], keyword()) :: result()
-  def merge(document, changes, opts \\ []),
-    do: edit(document, &merge_content(document, &1, changes), opts)
-
-  @doc "Applies changes to a content; the error `:conflict` names the first change that does not fit."
-  @spec merge_content(t(), content(), [Changes.change()]) ::
-          {:ok, content()} | {:error, Error.t()}
-  def merge_content(document, content, changes) do
-    with {:conflict, change} <- apply_changes(%{document | content: content}, changes) do
-      {:error,
-       Error.new(:conflict, "cannot merge the edit: #{Description.describe_change(change)}",
-         why: "another program has changed the same place differently in the meantime",
-         fix: "look at the current state, and repeat the edit if it is still wanted",
-         meta: %{change: change}
-       )}
-    end
-  end
-
-  @doc """
-  Saves a document that was read as `base` and is now `later`, and merges it with the edits of others. Without a base, or
-  if the file is missing, `later` replaces the document. Errors: see `merge/3`.
-  """
-  @spec save(Path.t(), module(), {content() | nil, content()}) :: result()
-  def save(path, format, {nil, later}), do: put(path, format, later)
-
-  def save(path, format, {base, later}) do
-    case open(path, format) do
-      {:ok, document} -> merge(document, format.diff(base, later, document.path), [])
-      {:error, %{code: code}} when code in [:not_found, :bad_document] -> put(path, format, later)
-      error -> error
-    end
-  end
-
   @doc "Returns whether the file does not contain all operations of the log."
-  @spec behind?(t()) :: boolean()
-  def behind?(document), do: document.log.id != nil and document.log.offset > document.written
+  @spec write_due?(t()) :: boolean()
+  def write_due?(document), do: document.log.id != nil and document.log.offset > document.written
 
   @doc "Writes the file if it does not contain all operations of the log."
   @spec write(t()) :: result()
@@ -472,7 +398,7 @@ defmodule Situ.EditLog.Document do
 
   def content_at(document, version) do
     with {:ok, log, entries} <- EditLog.read_all(document.path),
-         {:ok, json} <- replay_json(log, Enum.take(entries, version)),
+         {:ok, json} <- Replay.apply_entries(log, Enum.take(entries, version)),
          do: from_json(document, json)
   end
 end

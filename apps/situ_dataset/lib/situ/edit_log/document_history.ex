@@ -2,7 +2,7 @@ defmodule Situ.EditLog.DocumentHistory do
   @moduledoc false
   # Undo, redo, named and restored versions of a JSON document.
   alias Situ.{EditLog, Error}
-  alias Situ.EditLog.{Changes, Document, Entry, Versions}
+  alias Situ.EditLog.{Changes, Document, Entry, Merging, Replay, Versions}
 
   @doc "Returns the number of a version. Error: `:no_version`."
   @spec find_version(Document.t(), String.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -64,9 +64,9 @@ defmodule Situ.EditLog.DocumentHistory do
     do: {:error, Error.new(:nothing_to_redo, "there is no edit of yours to redo")}
 
   defp repeat_entry({[entry | _], convert}, document, content, _kind) do
-    changes = entry |> Document.entry_changes() |> convert.()
+    changes = [entry] |> Replay.list_changes() |> convert.()
 
-    with {:ok, content} <- Document.merge_content(document, content, changes),
+    with {:ok, content} <- Merging.merge_content(document, content, changes),
          do: {:ok, content, of: entry.n}
   end
 

@@ -1,8 +1,8 @@
 defmodule Situ.EditLog.Entry do
   @moduledoc false
-  # One entry of a log: an operation (`do`), its number, and who made it, when, and with which program. `kind` is `edit`,
-  # `undo` or `redo` (of the entry `of`), `name` (of the version `of`), `restore` (of the version `of`), or `outside`: the
-  # change of a program that does not use the log.
+  # One entry of a log: an operation (`do`), its number, and who made it, when, and with which program. `kind` is
+  # `edit`, `undo` or `redo` (of the entry `of`), `name` (of the version `of`), `restore` (of the version `of`), or
+  # `outside`: the change of a program that does not use the log.
   alias Situ.Store.FileLock
 
   @kinds ~w(edit undo redo name restore outside)

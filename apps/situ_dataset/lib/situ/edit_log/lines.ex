@@ -56,7 +56,7 @@ defmodule Situ.EditLog.Lines do
   def parse_entries(bytes, n),
     do: bytes |> :binary.split("\n", [:global]) |> parse_lines(n, 0, [])
 
-  # What follows the last line feed is incomplete.
+  # The text after the last line feed is incomplete.
   defp parse_lines([_incomplete], _n, size, done), do: {:ok, Enum.reverse(done), size}
 
   defp parse_lines([line | rest], n, size, done) do

@@ -1,7 +1,7 @@
 defmodule Situ.EditLog.Listing do
   @moduledoc false
-  # Lists whose items have keys: objects with different names or ids, or different strings. `Situ.EditLog.Changes` describes
-  # the changes.
+  # Lists whose items have keys: objects with different names or ids, or different strings. `Situ.EditLog.Changes`
+  # describes the changes.
   alias Situ.EditLog.Changes
 
   @doc "Returns whether two lists have keys of the same kind."
@@ -39,40 +39,46 @@ defmodule Situ.EditLog.Listing do
   defp item_key(text), do: text
 
   @doc """
-  Returns the changes between two lists. Items may be structs with a `name`; `to_json` then converts an item.
+  Returns the changes between two lists. `diff` compares two items with the same key. Items may be structs with a
+  `name`; `to_json` then converts an item.
   """
-  @spec diff(list(), list(), Changes.path(), (term() -> term())) :: [Changes.change()]
-  def diff(before, later, path, to_json \\ & &1) do
-    case diff_pairs(before, later, path, to_json, []) do
-      :other_keys -> diff_keys(before, later, path, to_json)
-      changes -> changes
-    end
+  @spec diff(
+          list(),
+          list(),
+          Changes.path(),
+          (term(), term(), Changes.path() -> [Changes.change()]),
+          (term() -> term())
+        ) ::
+          [Changes.change()]
+  def diff(before, later, path, diff, to_json \\ & &1) do
+    with :other_keys <- diff_pairs(before, later, path, {diff, to_json}, []),
+         do: diff_keys(before, later, path, {diff, to_json})
   end
 
   # Most edits leave the keys alone, and compare nearly all items by their address in memory.
-  defp diff_pairs([], [], _path, _to_json, done), do: Enum.concat(Enum.reverse(done))
+  defp diff_pairs([], [], _path, _tools, done), do: Enum.concat(Enum.reverse(done))
 
-  defp diff_pairs([same | before], [same | later], path, to_json, done),
-    do: diff_pairs(before, later, path, to_json, done)
+  defp diff_pairs([same | before], [same | later], path, tools, done),
+    do: diff_pairs(before, later, path, tools, done)
 
-  defp diff_pairs([a | before], [b | later], path, to_json, done) do
+  defp diff_pairs([a | before], [b | later], path, tools, done) do
     if item_key(a) == item_key(b) do
-      changes = Changes.diff(to_json.(a), to_json.(b), path ++ [item_key(a)])
-      diff_pairs(before, later, path, to_json, [changes | done])
+      changes = diff_items(a, b, path, tools)
+      diff_pairs(before, later, path, tools, [changes | done])
     else
       :other_keys
     end
   end
 
   # Items were added at the end.
-  defp diff_pairs([], added, path, to_json, done) do
+  defp diff_pairs([], added, path, {_diff, to_json}, done) do
     adds = for item <- added, do: ["add", path ++ [item_key(item)], to_json.(item), nil]
     Enum.concat(Enum.reverse([adds | done]))
   end
 
-  defp diff_pairs(_before, _later, _path, _to_json, _done), do: :other_keys
+  defp diff_pairs(_before, _later, _path, _tools, _done), do: :other_keys
 
-  defp diff_keys(before, later, path, to_json) do
+  defp diff_keys(before, later, path, {_diff, to_json} = tools) do
     old = Map.new(before, &{item_key(&1), &1})
     new = Map.new(later, &{item_key(&1), &1})
 
@@ -93,11 +99,14 @@ defmodule Situ.EditLog.Listing do
         for({b, i} <- added, do: ["add", path ++ [item_key(b)], to_json.(b), i]) ++
         for key <- Enum.map(before, &item_key/1),
             %{^key => b} <- [new],
-            change <- Changes.diff(to_json.(old[key]), to_json.(b), path ++ [key]),
+            change <- diff_items(old[key], b, path, tools),
             do: change
 
     changes ++ diff_order(Enum.map(before, &item_key/1), later, {path, changes})
   end
+
+  defp diff_items(a, b, path, {diff, to_json}),
+    do: diff.(to_json.(a), to_json.(b), path ++ [item_key(b)])
 
   defp diff_order(keys, later, {path, changes}) do
     moved =

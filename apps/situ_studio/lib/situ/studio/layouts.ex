@@ -2,7 +2,7 @@ defmodule Situ.Studio.Layouts do
   @moduledoc false
   # Saves named layouts in a folder, one JSON file each. The file contains the name; the file name
   # is derived from the letters and digits of the name.
-  alias Situ.EditLog.{Document, JsonFormat}
+  alias Situ.EditLog.{JsonFormat, Merging}
   alias Situ.Error
   alias Situ.Studio.Layout
 
@@ -65,7 +65,7 @@ defmodule Situ.Studio.Layouts do
     base = if base && base.name == name, do: encode_layout(base)
 
     with :ok <- check_name(name),
-         {:ok, document} <- Document.save(path, JsonFormat, {base, encode_layout(layout)}),
+         {:ok, document} <- Merging.save(path, JsonFormat, {base, encode_layout(layout)}),
          do: document.content |> Situ.JSON.encode() |> Layout.Json.parse_json()
   end
 

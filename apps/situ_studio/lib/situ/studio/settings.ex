@@ -10,7 +10,7 @@ defmodule Situ.Studio.Settings do
   # | `keep` | when layouts are saved: `:by_hand`, `:at_once`, or `:ask` when a page is closed | `:by_hand` |
   # | `info` | the statistic next to stream names, one of `Situ.Studio.StreamTotals.list_choices/0` | `:rate` |
   # | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
-  alias Situ.EditLog.{Document, JsonFormat}
+  alias Situ.EditLog.{JsonFormat, Merging}
   alias Situ.Error
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.Layout
@@ -83,7 +83,7 @@ defmodule Situ.Studio.Settings do
   @spec save(Path.t(), t(), t() | nil) :: :ok | {:error, Error.t()}
   def save(layouts, %__MODULE__{} = settings, base \\ nil) do
     contents = {base && encode_settings(base), encode_settings(settings)}
-    with {:ok, _} <- Document.save(settings_path(layouts), JsonFormat, contents), do: :ok
+    with {:ok, _} <- Merging.save(settings_path(layouts), JsonFormat, contents), do: :ok
   end
 
   defp encode_settings(settings) do
