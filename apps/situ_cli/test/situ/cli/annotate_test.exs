@@ -2,7 +2,7 @@ defmodule Situ.CLI.AnnotateTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureIO
   alias Situ.{Annotation, Dataset, Message, Store}
-  alias Situ.Annotation.{Layer, Recording, Schema}
+  alias Situ.Annotation.{Editor, Layer, Recording, Schema}
   alias Situ.Dataset.{OpenSession, SessionLayers}
 
   @moduletag :tmp_dir
@@ -82,6 +82,28 @@ defmodule Situ.CLI.AnnotateTest do
     argv = ["annotate", "export", Path.join(root, "room"), "-", "--format", "webvtt"]
     assert {0, text} = with_io(fn -> Situ.CLI.run(argv) end)
     assert text =~ "00:00:01.000 --> 00:00:02.000"
+  end
+
+  test "lists, compares, names and restores versions of a layer", %{tmp_dir: root} do
+    path = Path.join(root, "words")
+    {:ok, editor} = Editor.start_link(path: path, stream: "Words", schema: Schema.text("Words"))
+    {:ok, _} = Editor.edit(editor, &Layer.add(&1, Annotation.new(0, 10, "P1")), by: "Ada")
+    {:ok, _} = Editor.save(editor)
+    run = fn argv -> with_io(fn -> Situ.CLI.run(["annotate" | argv]) end) end
+    assert {0, text} = run.(["history", path])
+    assert text =~ ~r/1 .*Ada .*add annotation on P1 at 00:00:00.000/
+    assert {0, "named \"first\"\n"} = run.(["name", path, "first"])
+    {:ok, _} = Editor.edit(editor, &Layer.remove(&1, 1))
+    assert {0, "delete annotation on P1 at 00:00:00.000\n"} = run.(["diff", path, "first"])
+    assert {0, "1 annotation\n"} = run.(["restore", path <> ".0000", "first"])
+    assert {0, "0 annotations\n"} = run.(["undo", path])
+    assert {0, "1 annotation\n"} = run.(["redo", path])
+    {:ok, layer} = Editor.refresh(editor)
+    assert length(Layer.annotations(layer)) == 1
+
+    assert capture_io(:stderr, fn ->
+             assert Situ.CLI.run(["annotate", "history", path, "--stream", "Faces"]) == 1
+           end) =~ "Words"
   end
 
   describe "with a session of a dataset" do
