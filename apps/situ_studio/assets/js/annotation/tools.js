@@ -28,6 +28,9 @@ export class Tools {
       this.chooseTrack(),
     );
     this.addButton("Schema…", "Edit attributes, values, keys and colors", () => this.pushEvent("annotation_schema"));
+    this.addButton("History…", "Show who changed these annotations, and restore earlier versions", () =>
+      this.pushEvent("annotation_history"),
+    );
     this.addButton("Agreement…", "Compare this layer with another", () => this.pushEvent("annotation_streams"));
     this.who = this.addButton("", "Annotator name stored with new annotations", () => this.askName());
     this.review = this.addButton("Review", "Review the proposals one by one (q)", () =>

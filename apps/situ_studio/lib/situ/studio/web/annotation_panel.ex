@@ -9,7 +9,7 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   alias Situ.Live.Socket
   alias Situ.Studio.Annotations
   alias Situ.Studio.Annotations.{AgreementTable, Layers, Proposals, SchemaForm, Schemas}
-  alias Situ.Studio.Web.LayerWatch
+  alias Situ.Studio.Web.{HistoryDialog, LayerWatch}
 
   @doc "Returns whether the item can have annotation layers and the studio may write them."
   @spec available?(map()) :: boolean()
@@ -104,6 +104,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
       nil -> socket
     end
   end
+
+  defp apply_event("annotation_history" <> _ = event, params, socket),
+    do: HistoryDialog.handle_layer(event, params, socket)
 
   # A marker comments on a time or a range. Markers are an ordinary annotation stream of texts; a marker that overlaps
   # an earlier one goes to the next track.

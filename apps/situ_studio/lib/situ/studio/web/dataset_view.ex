@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.DatasetView do
   alias Situ.Studio.BatchRuns.ResumableRuns
   alias Situ.Studio.Datasets.Summary
   alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Components}
-  alias Situ.Studio.Web.PageFrame
+  alias Situ.Studio.Web.{HistoryDialog, PageFrame}
 
   @refresh_ms 2_000
 
@@ -151,6 +151,9 @@ defmodule Situ.Studio.Web.DatasetView do
     end
   end
 
+  def handle_event("history_" <> _ = event, params, %{assigns: %{server: _}} = socket),
+    do: {:noreply, HistoryDialog.handle_dataset(event, params, socket)}
+
   def handle_event(event, params, %{assigns: %{server: _}} = socket) do
     case Edits.apply_event(event, params, socket.assigns) do
       {:ok, changes} -> {:noreply, apply_changes(socket, changes)}
@@ -212,7 +215,9 @@ defmodule Situ.Studio.Web.DatasetView do
           {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
       <Components.dataset_sidebar
           {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
-      <Dialogs.dataset_dialog :if={@dialog != nil} dialog={@dialog} />
+      <HistoryDialog.history_dialog :if={match?({:history, _, _}, @dialog)} entries={elem(@dialog, 1)}
+          restore={elem(@dialog, 2)} />
+      <Dialogs.dataset_dialog :if={@dialog != nil and not match?({:history, _, _}, @dialog)} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>
     """

@@ -34,6 +34,7 @@ defmodule Situ.Studio.Web.MainView do
     Paths,
     QueryPanel,
     SchemaDialog,
+    HistoryDialog,
     Sidebars,
     StreamTree,
     SharedCursors
@@ -359,6 +360,8 @@ defmodule Situ.Studio.Web.MainView do
           snap={@snap} />
       <LayerDialog.dialog :if={match?({:layers, _}, @dialog)} {elem(@dialog, 1)} />
       <SchemaDialog.dialog :if={match?({:schema, _, _}, @dialog)} draft={elem(@dialog, 1)} error={elem(@dialog, 2)} />
+      <HistoryDialog.history_dialog :if={match?({:history, _, _}, @dialog)} entries={elem(@dialog, 1)}
+          restore={elem(@dialog, 2)} />
       <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.save_dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.export_dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
