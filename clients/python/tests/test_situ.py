@@ -373,6 +373,10 @@ class StoreTest(unittest.TestCase):
             self.assertEqual((again.document["metadata"], again.document["tags"]), ({"lab": "B"}, ["pilot", "late"]))
             again.add_session("three")
             again.save()
+            # An older file that is put back replaces the content.
+            with open(path, "w") as file:
+                file.write(text)
+            self.assertEqual(situ.Dataset.open(path).document["metadata"], {"lab": "A"})
             with open(path + ".edits") as file:
                 kinds = [json.loads(line[9:]).get("kind") for line in file]
             self.assertEqual(kinds, [None, None, "edit", "edit", "edit", "edit", "outside", "edit"])

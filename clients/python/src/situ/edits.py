@@ -337,12 +337,17 @@ class Document:
         self.content, self.outside = self.normalize(value), []
         self.log = read_log(self.path, mark if intact else None)
         if self.log is None:
-            self.version = 0
+            self.version = self.file = 0
             return
         header, entries, _ = self.log
         self.version = entries[-1]["n"] if entries else mark["version"] if intact else 0
-        if intact and mark.get("log") == header["log"]:
+        self.file = mark["version"] if intact else 0
+        put_back = any(entry.get("file", 0) > self.file for entry in entries)
+        if intact and mark.get("log") == header["log"] and not put_back:
             self.content = apply_all(self.content, entry_changes(entries))
+        elif intact:
+            self.log = read_log(self.path)
+            self.merge_file({}, digest)
         else:
             self.merge_file(mark if isinstance(mark, dict) else {}, digest)
 
@@ -350,9 +355,12 @@ class Document:
         """Merges a file that does not contain what the log says: somebody has edited it, or replaced it."""
         header, entries, _ = self.log
         file, self.content = self.content, apply_all(copy.deepcopy(header["base"]), entry_changes(entries))
-        outside = [entry for entry in entries if entry["kind"] == "outside"]
-        first = not mark and header.get("digest") == digest
-        if first or (outside and outside[-1].get("of") == digest):
+        outside = [entry for entry in entries if entry["kind"] == "outside"][-1:]
+        # A program that took over these edits was killed before it wrote the file.
+        adopted = outside and outside[0].get("of") == digest
+        adopted = adopted and all(e.get("file", 0) < outside[0]["n"] for e in entries[outside[0]["n"] :])
+        first = not mark and header.get("digest") == digest and all(e.get("file", 0) == 0 for e in entries)
+        if first or adopted:
             return
         before = copy.deepcopy(self.content)
         base = before
@@ -395,7 +403,7 @@ class Document:
     def append(self, kind, changes, more):
         header, entries, offset = self.log
         me = author()
-        entry = {"n": self.version + 1, "kind": kind, "at": me.pop("since"), **me, **more, "do": {"changes": changes}}
+        entry = {"n": self.version + 1, "kind": kind, "at": me.pop("since"), **me, **more, "file": self.file, "do": {"changes": changes}}
         line = encode_line({key: value for key, value in entry.items() if value is not None})
         append_line(self.path, offset, line)
         self.version += 1

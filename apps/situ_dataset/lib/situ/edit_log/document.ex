@@ -33,11 +33,22 @@ defmodule Situ.EditLog.Document do
   @callback apply_change(content(), Changes.change(), Path.t()) :: {:ok, content()} | :conflict
 
   @enforce_keys [:path, :format]
-  defstruct [:path, :format, :content, :log, :stat, :checked, :digest, size: 0, written: 0]
+  defstruct [
+    :path,
+    :format,
+    :content,
+    :log,
+    :stat,
+    :checked,
+    :digest,
+    size: 0,
+    written: 0,
+    file: 0
+  ]
 
   @typedoc """
   `stat` and `digest` describe the file, `checked` is the time in s when its digest was last compared, `size` is its
-  size, and `written` is the offset in the log up to which the file contains it.
+  size, `written` is the offset in the log up to which the file contains it, and `file` is the version of the file.
   """
   @type t :: %__MODULE__{
           path: Path.t(),
@@ -48,7 +59,8 @@ defmodule Situ.EditLog.Document do
           checked: integer() | nil,
           digest: String.t() | nil,
           size: non_neg_integer(),
-          written: non_neg_integer()
+          written: non_neg_integer(),
+          file: non_neg_integer()
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
   @type edited :: {:ok, content()} | {:ok, content(), keyword()} | {:error, Error.t()}
@@ -62,9 +74,13 @@ defmodule Situ.EditLog.Document do
   """
   @spec open(Path.t(), module()) :: result()
   def open(path, format) do
-    path = Path.expand(path)
+    open_known(%__MODULE__{path: Path.expand(path), format: format})
+  end
 
-    with {:ok, document, mark} <- read_file(%__MODULE__{path: path, format: format}),
+  # `file` is the version that the file is known to have contained.
+  defp open_known(%{path: path, format: format, file: file}) do
+    with {:ok, document, mark} <-
+           read_file(%__MODULE__{path: path, format: format, file: file}),
          {:ok, log} <- EditLog.open(path),
          do: join_log(%{document | log: log}, mark)
   end
@@ -103,22 +119,35 @@ defmodule Situ.EditLog.Document do
   # A file without a log, such as one of an earlier release, gets its log with the first edit.
   defp join_log(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
 
-  defp join_log(%{log: %{id: id} = log} = document, %{"log" => id, "intact" => true} = mark) do
+  defp join_log(document, mark) do
+    with :edited <- replay_log(document, mark), do: join_edited(document, mark)
+  end
+
+  # Applies the operations after the version that the file contains. Returns `:edited` if the file was edited or put back.
+  defp replay_log(%{log: %{id: id} = log} = document, %{"log" => id, "intact" => true} = mark) do
     with {:ok, log} <- EditLog.seek(log, mark["version"], mark["offset"]),
          {:ok, log, entries} <- EditLog.read_new(log),
+         false <- put_back?(document, mark, entries),
          {:ok, document} <- apply_entries(document, {log, entries}) do
-      {:ok, %{document | written: mark["offset"]}}
+      {:ok, %{document | written: mark["offset"], file: mark["version"]}}
     else
+      true -> :edited
       {:error, error} -> {:error, error}
       _ -> {:error, EditLog.damaged_error(log, mark["offset"])}
     end
   end
 
   # The program that created the log was killed before it wrote the file.
-  defp join_log(%{log: %{header: %{"digest" => digest}} = log, digest: digest} = document, nil),
-    do: join_log(document, Mark.first(log))
+  defp replay_log(%{log: %{header: %{"digest" => digest}} = log, digest: digest} = document, nil),
+    do: replay_log(document, Mark.first(log))
 
-  defp join_log(document, mark) do
+  defp replay_log(_document, _mark), do: :edited
+
+  # Somebody has replaced the file by an older one.
+  defp put_back?(%{file: file}, %{"version" => version}, entries),
+    do: file > version or Enum.any?(entries, &((&1.file || 0) > version))
+
+  defp join_edited(document, mark) do
     case EditLog.with_lock(document.path, fn -> reopen_locked(document) end) do
       {:ok, document} ->
         {:ok, document}
@@ -128,6 +157,7 @@ defmodule Situ.EditLog.Document do
 
       # The folder cannot be written. The edits of the file are shown all the same.
       {:error, _} ->
+        mark = if mark["intact"], do: nil, else: mark
         with {:ok, document, _changes} <- merge_file(document, mark), do: {:ok, document}
     end
   end
@@ -151,7 +181,10 @@ defmodule Situ.EditLog.Document do
   end
 
   # Takes over an edit of the file itself, while the document is locked.
+  # An older file that was put back replaces the content.
   defp adopt_file(document, mark) do
+    mark = if mark["intact"], do: nil, else: mark
+
     with {:ok, merged, changes} <- merge_file(document, mark),
          origin = [program: "an editor of the file", of: document.digest],
          {:ok, merged} <- append_changes(merged, {"outside", changes}, origin),
@@ -178,12 +211,12 @@ defmodule Situ.EditLog.Document do
   @spec refresh(t()) :: result()
   def refresh(document) do
     if changed_file?(document) do
-      open(document.path, document.format)
+      open_known(document)
     else
       case EditLog.read_new(document.log) do
         {:ok, log, []} -> {:ok, %{document | log: log}}
         {:ok, log, entries} -> apply_entries(document, {log, entries})
-        :replaced -> open(document.path, document.format)
+        :replaced -> open_known(%{document | file: 0})
         error -> error
       end
     end
@@ -261,7 +294,7 @@ defmodule Situ.EditLog.Document do
 
   defp reopen_locked(%{path: path, format: format} = document) do
     with {:ok, log} <- EditLog.open(path) do
-      case read_file(%__MODULE__{path: path, format: format, log: log}) do
+      case read_file(%__MODULE__{path: path, format: format, log: log, file: document.file}) do
         {:ok, fresh, mark} -> join_locked(fresh, mark)
         {:error, %{code: :not_found}} -> replay_missing(%{document | log: log, written: 0})
         error -> error
@@ -281,20 +314,19 @@ defmodule Situ.EditLog.Document do
 
   defp join_locked(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
 
-  defp join_locked(%{log: %{id: id}} = document, %{"log" => id, "intact" => true} = mark),
-    do: join_log(document, mark)
-
-  defp join_locked(%{log: %{header: %{"digest" => digest}}, digest: digest} = document, nil),
-    do: join_log(document, nil)
-
-  defp join_locked(document, mark), do: adopt_file(document, mark)
+  defp join_locked(document, mark) do
+    with :edited <- replay_log(document, mark), do: adopt_file(document, mark)
+  end
 
   defp append_changes(document, {kind, []}, _opts) when kind != "name", do: {:ok, document}
 
   defp append_changes(document, {kind, changes}, opts) do
     with {:ok, log} <- ensure_log(document),
          {:ok, log, _entry} <-
-           EditLog.append(log, Entry.new(kind, %{"changes" => changes}, opts)),
+           EditLog.append(
+             log,
+             Entry.new(kind, %{"changes" => changes}, [{:file, document.file} | opts])
+           ),
          do: {:ok, %{document | log: log}}
   end
 
@@ -333,7 +365,10 @@ defmodule Situ.EditLog.Document do
       file = %{stat: stat, checked: System.os_time(:second), size: byte_size(text)}
 
       {:ok,
-       struct!(document, Map.merge(file, %{digest: Mark.text_digest(text), written: log.offset}))}
+       struct!(
+         document,
+         Map.merge(file, %{digest: Mark.text_digest(text), written: log.offset, file: log.n})
+       )}
     else
       {:error, reason} ->
         if log.id, do: {:ok, document}, else: {:error, not_saved_error(path, reason)}

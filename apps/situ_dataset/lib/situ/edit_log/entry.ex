@@ -2,13 +2,14 @@ defmodule Situ.EditLog.Entry do
   @moduledoc false
   # One entry of a log: an operation (`do`), its number, and who made it, when, and with which program. `kind` is
   # `edit`, `undo` or `redo` (of the entry `of`), `name` (of the version `of`), `restore` (of the version `of`), or
-  # `outside`: the change of a program that does not use the log.
+  # `outside`: the change of a program that does not use the log. `file` is the version that the document's file
+  # contained then, which shows whether an older file was put back later.
   alias Situ.Store.FileLock
 
   @kinds ~w(edit undo redo name restore outside)
 
   @enforce_keys [:kind, :do]
-  defstruct [:kind, :do, :n, :at, :by, :user, :program, :host, :of, :note]
+  defstruct [:kind, :do, :n, :at, :by, :user, :program, :host, :of, :note, :file]
 
   @type t :: %__MODULE__{
           kind: String.t(),
@@ -20,12 +21,13 @@ defmodule Situ.EditLog.Entry do
           program: String.t() | nil,
           host: String.t() | nil,
           of: term(),
-          note: String.t() | nil
+          note: String.t() | nil,
+          file: non_neg_integer() | nil
         }
 
   @doc """
   Builds an entry of this program. Options: `by:` (the person, if it is not the user of the computer), `of:`, `note:`,
-  `program:`, and `at:` (default: the time now).
+  `file:`, `program:`, and `at:` (default: the time now).
   """
   @spec new(String.t(), map(), keyword()) :: t()
   def new(kind, operation, opts \\ []) when kind in @kinds do
@@ -40,7 +42,8 @@ defmodule Situ.EditLog.Entry do
       program: opts[:program] || author.program,
       host: author.host,
       of: opts[:of],
-      note: opts[:note]
+      note: opts[:note],
+      file: opts[:file]
     }
   end
 
@@ -52,7 +55,7 @@ defmodule Situ.EditLog.Entry do
   @spec to_json(t()) :: {[{String.t(), term()}]}
   def to_json(entry) do
     members =
-      for key <- [:n, :kind, :at, :by, :user, :program, :host, :of, :note, :do],
+      for key <- [:n, :kind, :at, :by, :user, :program, :host, :of, :note, :file, :do],
           value = Map.fetch!(entry, key),
           value != nil,
           do: {Atom.to_string(key), value}
@@ -69,7 +72,8 @@ defmodule Situ.EditLog.Entry do
     if Enum.all?(texts, &(&1 == nil or is_binary(&1))) do
       [at, by, user, program, host, note] = texts
       entry = %__MODULE__{kind: kind, do: operation, n: n, of: json["of"], note: note}
-      {:ok, %{entry | at: at, by: by, user: user, program: program, host: host}}
+      file = if is_integer(json["file"]), do: json["file"]
+      {:ok, %{entry | at: at, by: by, user: user, program: program, host: host, file: file}}
     else
       :error
     end

@@ -40,8 +40,12 @@ defmodule Situ.EditLog.Replay do
 
   # A program that took over the edits of the file was killed before it wrote the file.
   defp adopted?(entries, digest) do
-    last = entries |> Enum.reverse() |> Enum.find(&(&1.kind == "outside"))
-    last != nil and last.of == digest
+    {later, rest} = entries |> Enum.reverse() |> Enum.split_while(&(&1.kind != "outside"))
+
+    case rest do
+      [%{of: ^digest, n: n} | _] -> not Enum.any?(later, &((&1.file || 0) >= n))
+      _ -> false
+    end
   end
 
   defp find_base(%{id: id} = log, {entries, now}, %{"log" => id, "version" => version}) do

@@ -84,6 +84,25 @@ defmodule Situ.Dataset.DatasetDocumentTest do
       assert content.tags == ["late"]
     end
 
+    test "can be replaced by an older one", %{path: file, dataset: dataset} do
+      {:ok, dataset} = Dataset.put_fields(dataset, tags: ["a"])
+      before = File.read!(file)
+
+      for name <- ["x", "y"] do
+        {:ok, changed} = Dataset.update(dataset, &Dataset.put_fields(&1, name: name))
+        {:ok, _} = Dataset.update(changed, &Dataset.put_fields(&1, tags: []))
+        File.write!(file, before)
+        assert {:ok, %{name: "Study", tags: ["a"]}} = Dataset.load(file)
+      end
+
+      # A program that has the file open notices even if only the last edit is taken back.
+      {:ok, changed} = Dataset.update(dataset, &{:ok, &1})
+      before = File.read!(file)
+      {:ok, changed} = Dataset.put_fields(changed, name: "z")
+      File.write!(file, before)
+      assert {:ok, %{name: "Study"}} = Dataset.refresh(changed)
+    end
+
     test "is reported if it is not a dataset", %{path: file, dataset: dataset} do
       {:ok, dataset} = Dataset.add_session(dataset, "a")
       File.write!(file, "{")
