@@ -373,13 +373,15 @@ class StoreTest(unittest.TestCase):
             self.assertEqual((again.document["metadata"], again.document["tags"]), ({"lab": "B"}, ["pilot", "late"]))
             again.add_session("three")
             again.save()
+            again.document["tags"].append("later")
+            again.save()
             # An older file that is put back replaces the content.
             with open(path, "w") as file:
                 file.write(text)
             self.assertEqual(situ.Dataset.open(path).document["metadata"], {"lab": "A"})
             with open(path + ".edits") as file:
                 kinds = [json.loads(line[9:]).get("kind") for line in file]
-            self.assertEqual(kinds, [None, None, "edit", "edit", "edit", "edit", "outside", "edit"])
+            self.assertEqual(kinds, [None, None, "edit", "edit", "edit", "edit", "outside", "edit", "edit"])
 
     def test_datasets_keep_unknown_members(self):
         with tempfile.TemporaryDirectory() as root:

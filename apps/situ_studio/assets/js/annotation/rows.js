@@ -6,7 +6,8 @@ import { ROW } from "./draw.js";
 
 /**
  * @typedef {{id: string, track: string, from: number, to: number, values: object}} Annotation
- * @typedef {{attributes: object[], tracks: string[], items: Annotation[], undo: number, redo: number, version?: number}} AnnotationState
+ * @typedef {{attributes: object[], tracks: string[], items: Annotation[], undo: number, redo: number,
+ *   version?: number}} AnnotationState
  */
 
 // Returns the lowest number that is not in a list of names, as text.

@@ -94,7 +94,9 @@ defmodule Situ.Studio.Web.HistoryDialog do
       <p :if={@entries == []} class="hint">There are no edits yet.</p>
       <div class="history" tabindex="0" role="region" aria-label="Edits, newest first">
         <table>
-          <thead :if={@entries != []}><tr><th>Version</th><th>Time (UTC)</th><th>Who</th><th>Edit</th><th></th></tr></thead>
+          <thead :if={@entries != []}>
+            <tr><th>Version</th><th>Time (UTC)</th><th>Who</th><th>Edit</th><th></th></tr>
+          </thead>
           <tbody>
             <tr :for={e <- @entries} :key={e.version}>
               <td>{e.version}</td>
