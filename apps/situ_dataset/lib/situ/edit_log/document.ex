@@ -8,12 +8,9 @@ defmodule Situ.EditLog.Document do
   # not fit, somebody has edited the file itself. The difference from that version then becomes an operation, too.
   # See docs/adr/0175-documents-are-files-with-a-log.md.
   alias Situ.{EditLog, Error}
-  alias Situ.EditLog.{Changes, Disk, Entry, Mark, Replay}
+  alias Situ.EditLog.{Changes, DocumentFile, Entry, Mark, Replay}
 
   @small 65_536
-  @largest 64 * 1024 * 1024
-  # File systems record the time of a change in seconds. A later change in the same second could have the same size.
-  @uncertain_s 2
 
   @typedoc "The state of a document: a struct, or any term that the format understands."
   @type content :: term()
@@ -80,41 +77,15 @@ defmodule Situ.EditLog.Document do
   # `file` is the version that the file is known to have contained.
   defp open_known(%{path: path, format: format, file: file}) do
     with {:ok, document, mark} <-
-           read_file(%__MODULE__{path: path, format: format, file: file}),
+           read_document(%__MODULE__{path: path, format: format, file: file}),
          {:ok, log} <- EditLog.open(path),
          do: join_log(%{document | log: log}, mark)
   end
 
-  defp read_file(%{path: path} = document) do
-    with {:ok, %{type: :regular, size: size}} when size <= @largest <- File.stat(path),
-         {:ok, stat} <- Disk.file_stat(path),
-         {:ok, text} <- File.read(path),
-         {:ok, content, mark} <- document.format.parse(text, path) do
-      now = System.os_time(:second)
-      digest = Mark.text_digest(text)
-      mark = mark && Map.put(mark, "intact", mark["digest"] == digest)
-      file = %{content: content, stat: stat, checked: now, digest: digest, size: byte_size(text)}
-      {:ok, struct!(document, file), mark}
-    else
-      {:ok, %{type: :regular, size: size}} ->
-        {:error, bad_document_error(path, "it has #{size} bytes; the limit is #{@largest}")}
-
-      {:ok, %{type: type}} ->
-        {:error, bad_document_error(path, "it is a #{type}")}
-
-      {:error, why} when is_binary(why) ->
-        {:error, bad_document_error(path, why)}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:not_found, "cannot read #{path}",
-           why: to_string(:file.format_error(reason)),
-           fix: "check the path"
-         )}
-    end
+  defp read_document(document) do
+    with {:ok, file, mark} <- DocumentFile.read(document.path, document.format),
+         do: {:ok, struct!(document, file), mark}
   end
-
-  defp bad_document_error(path, why), do: Error.new(:bad_document, "cannot use #{path}", why: why)
 
   # A file without a log, such as one of an earlier release, gets its log with the first edit.
   defp join_log(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
@@ -123,7 +94,8 @@ defmodule Situ.EditLog.Document do
     with :edited <- replay_log(document, mark), do: join_edited(document, mark)
   end
 
-  # Applies the operations after the version that the file contains. Returns `:edited` if the file was edited or put back.
+  # Applies the operations after the version that the file contains. Returns `:edited` if the file was edited or put
+  # back.
   defp replay_log(%{log: %{id: id} = log} = document, %{"log" => id, "intact" => true} = mark) do
     with {:ok, log} <- EditLog.seek(log, mark["version"], mark["offset"]),
          {:ok, log, entries} <- EditLog.read_new(log),
@@ -210,36 +182,18 @@ defmodule Situ.EditLog.Document do
   @doc "Reads the edits that other programs have made since, from the log or in the file itself."
   @spec refresh(t()) :: result()
   def refresh(document) do
-    if changed_file?(document) do
-      open_known(document)
-    else
-      case EditLog.read_new(document.log) do
-        {:ok, log, []} -> {:ok, %{document | log: log}}
-        {:ok, log, entries} -> apply_entries(document, {log, entries})
-        :replaced -> open_known(%{document | file: 0})
-        error -> error
-      end
+    case DocumentFile.check(document) do
+      {:unchanged, document} -> read_log(document, &open_known/1)
+      :changed -> open_known(document)
     end
   end
 
-  # A file that was deleted is written again with the next edit.
-  defp changed_file?(%{path: path, stat: stat} = document) do
-    case Disk.file_stat(path) do
-      {:ok, ^stat} -> uncertain?(document) and changed_text?(document)
-      {:error, :enoent} -> false
-      _ -> true
-    end
-  end
-
-  defp uncertain?(%{stat: {_, _, changed}, checked: checked}) do
-    now = System.os_time(:second)
-    checked - changed < @uncertain_s and now - changed >= @uncertain_s
-  end
-
-  defp changed_text?(%{path: path, digest: digest}) do
-    case File.read(path) do
-      {:ok, text} -> Mark.text_digest(text) != digest
-      {:error, _} -> false
+  defp read_log(document, reopen) do
+    case EditLog.read_new(document.log) do
+      {:ok, log, []} -> {:ok, %{document | log: log}}
+      {:ok, log, entries} -> apply_entries(document, {log, entries})
+      :replaced -> reopen.(%{document | file: 0})
+      error -> error
     end
   end
 
@@ -281,20 +235,15 @@ defmodule Situ.EditLog.Document do
 
   # The lock is held already, so an edited file is merged here.
   defp refresh_locked(document) do
-    if changed_file?(document) do
-      reopen_locked(document)
-    else
-      case EditLog.read_new(document.log) do
-        {:ok, log, entries} -> apply_entries(document, {log, entries})
-        :replaced -> reopen_locked(document)
-        error -> error
-      end
+    case DocumentFile.check(document) do
+      {:unchanged, document} -> read_log(document, &reopen_locked/1)
+      :changed -> reopen_locked(document)
     end
   end
 
   defp reopen_locked(%{path: path, format: format} = document) do
     with {:ok, log} <- EditLog.open(path) do
-      case read_file(%__MODULE__{path: path, format: format, log: log, file: document.file}) do
+      case read_document(%__MODULE__{path: path, format: format, log: log, file: document.file}) do
         {:ok, fresh, mark} -> join_locked(fresh, mark)
         {:error, %{code: :not_found}} -> replay_missing(%{document | log: log, written: 0})
         error -> error
@@ -352,34 +301,21 @@ defmodule Situ.EditLog.Document do
 
   # The log contains the edit, so it is acknowledged even if the file cannot be written. The next edit tries again.
   defp write_checked(document) do
-    if changed_text?(document),
-      do: {:ok, document},
-      else: write_file(document)
+    if DocumentFile.same_text?(document), do: write_file(document), else: {:ok, document}
   end
 
   defp write_file(%{path: path, log: log} = document) do
     mark = if log.id, do: {log.id, log.n, log.offset}
     text = Mark.put_digest(document.format.encode(document.content, path, Mark.encode(mark)))
 
-    with :ok <- Disk.replace(path, text), {:ok, stat} <- Disk.file_stat(path) do
-      file = %{stat: stat, checked: System.os_time(:second), size: byte_size(text)}
+    case DocumentFile.write(path, text) do
+      {:ok, file} ->
+        written = %{document | written: log.offset, file: log.n}
+        {:ok, struct!(written, file)}
 
-      {:ok,
-       struct!(
-         document,
-         Map.merge(file, %{digest: Mark.text_digest(text), written: log.offset, file: log.n})
-       )}
-    else
-      {:error, reason} ->
-        if log.id, do: {:ok, document}, else: {:error, not_saved_error(path, reason)}
+      error ->
+        if log.id, do: {:ok, document}, else: error
     end
-  end
-
-  defp not_saved_error(path, reason) do
-    Error.new(:not_saved, "cannot save #{path}",
-      why: to_string(:file.format_error(reason)),
-      fix: "the file was not changed; check the folder, or save to another file"
-    )
   end
 
   @doc """
@@ -394,7 +330,7 @@ defmodule Situ.EditLog.Document do
       with :ok <- check_type(path), {:ok, log} <- EditLog.open(path) do
         new = %__MODULE__{path: path, format: format, content: content, log: log}
 
-        case read_file(new) do
+        case read_document(new) do
           {:ok, found, mark} -> replace_content(found, mark, content)
           {:error, _} -> put_missing(new)
         end
