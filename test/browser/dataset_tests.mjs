@@ -151,6 +151,36 @@ test("6 datasets: sessions are created, renamed, filled and removed; metadata an
   equal(session("p01").tags, ["pilot", "by hand"], "the external edit is kept");
 });
 
+test("6 datasets: the history lists edits, undoes the last one, and restores a version", async ({
+  page,
+  shot,
+  cleanUp,
+}) => {
+  cleanUp(restoreLater());
+  await dataset(page);
+  await menu(page, "p01", "Rename…");
+  await answer(page, " first");
+  await onDisk(() => !session("p01"), "the new name is in the file");
+  const renamed = saved().sessions[0].name;
+  await page.click("button:has-text('History…')");
+  const newest = (text) =>
+    until(
+      page,
+      (t) => document.querySelector("#history tbody tr td:nth-child(4)")?.textContent === t,
+      `the newest edit: ${text}`,
+      text,
+    );
+  await newest(`rename session p01 to ${renamed}`);
+  await shot("history");
+  const version = Number(await page.textContent("#history tbody tr td"));
+  await page.click("button:has-text('Undo my last edit')");
+  await onDisk(() => session("p01"), "the edit is undone");
+  await page.click("button:has-text('History…')");
+  await newest(`undo ${version}`);
+  await page.click(`#history button[aria-label="Restore version ${version}"]`);
+  await onDisk(() => session(renamed), "the version is restored");
+});
+
 test("6 datasets: a dialog keeps what was entered while the page changes", async ({ page, cleanUp }) => {
   cleanUp(restoreLater());
   await dataset(page);
