@@ -91,11 +91,22 @@ defmodule Situ.Store.FileLock do
     %{
       os_pid: System.pid(),
       host: host_name(),
-      user: System.get_env("USER") || System.get_env("LOGNAME"),
+      user: System.get_env("USER") || System.get_env("LOGNAME") || account_name(),
       program: program_name(),
       since: Situ.Time.to_iso8601(div(Situ.Time.now(), 1_000_000_000) * 1_000_000_000),
       process: self() |> :erlang.pid_to_list() |> List.to_string()
     }
+  end
+
+  # Services may run without these variables.
+  defp account_name do
+    with {:ok, %{uid: uid}} <- File.stat("/proc/self"),
+         {:ok, accounts} <- File.read("/etc/passwd"),
+         [_, name] <- Regex.run(~r/^([^:\n]+):[^:\n]*:#{uid}:/m, accounts) do
+      name
+    else
+      _ -> nil
+    end
   end
 
   defp host_name do
