@@ -51,7 +51,9 @@ defmodule Situ.EditLog do
       end
     else
       {:held, holder} -> {:error, in_use_error(document, holder)}
-      {:error, %Error{}} = error -> error
+      {:error, %Error{code: :no_locks}} = error -> error
+      # The lock's file cannot be written.
+      {:error, %Error{} = error} -> {:error, %{error | code: :not_saved}}
     end
   end
 

@@ -64,6 +64,8 @@ defmodule Situ.EditLogTest do
     )
   end
 
+  # With SITU_TIMES, thousands of edits are synced to disk.
+  @tag timeout: 3_600_000
   property "crashes at any step lose no acknowledged edit", context: %{tmp_dir: root} do
     forall edits <- edits() do
       path = Path.join(root, "d#{System.unique_integer([:positive])}.json")

@@ -74,7 +74,7 @@ defmodule Situ.EditLog.Changes do
     do: edit_member(document, kind, key, {a, b})
 
   def apply_change(list, ["rename", [_], from, to]) when is_list(list),
-    do: Listing.rename_item(list, from, {to, &Map.put(&1, "name", to)})
+    do: Listing.rename_item(list, from, {to, &put_name(&1, to)})
 
   def apply_change(document, [kind, [key | rest], a, b]) do
     case fetch_member(document, key) do
@@ -88,6 +88,9 @@ defmodule Situ.EditLog.Changes do
   end
 
   def apply_change(_document, _change), do: :conflict
+
+  defp put_name(%{} = item, name), do: Map.put(item, "name", name)
+  defp put_name(_text, name), do: name
 
   defp edit_value(value, ["set", [], _before, value]), do: {:ok, value}
   defp edit_value(value, ["set", [], value, later]), do: {:ok, later}
@@ -136,12 +139,26 @@ defmodule Situ.EditLog.Changes do
 
   defp invert_change([kind, path, before, later]), do: [kind, path, later, before]
 
-  @doc "Returns whether a term from a log is a change."
+  @doc "Returns whether a term from a log is a change. Anybody with access to the folder may have written it."
   @spec change?(term()) :: boolean()
-  def change?([kind, path, _, _]) when kind in ~w(add remove set rename order),
-    do: is_list(path) and Enum.all?(path, &is_binary/1)
+  def change?([kind, path, a, b]) when is_list(path),
+    do: Enum.all?(path, &is_binary/1) and valid_change?(kind, path, {a, b})
 
   def change?(_), do: false
+
+  # A document remains an object.
+  defp valid_change?(_kind, [], _values), do: false
+  defp valid_change?("set", _path, _values), do: true
+
+  defp valid_change?(kind, _path, {_value, index}) when kind in ["add", "remove"],
+    do: index == nil or (is_integer(index) and index >= 0)
+
+  defp valid_change?("rename", _path, {from, to}), do: is_binary(from) and is_binary(to)
+
+  defp valid_change?("order", _path, {before, later}),
+    do: Enum.all?([before, later], &(is_list(&1) and Enum.all?(&1, fn key -> is_binary(key) end)))
+
+  defp valid_change?(_kind, _path, _values), do: false
 
   @doc "Applies a change and overwrites other changes of its place; returns the document."
   @spec force_change(term(), change()) :: term()

@@ -4,6 +4,7 @@ defmodule Situ.EditLog.Entry do
   # `edit`, `undo` or `redo` (of the entry `of`), `name` (of the version `of`), `restore` (of the version `of`), or
   # `outside`: the change of a program that does not use the log. `file` is the version that the document's file
   # contained then, which shows whether an older file was put back later.
+  alias Situ.EditLog.Changes
   alias Situ.Store.FileLock
 
   @kinds ~w(edit undo redo name restore outside)
@@ -69,7 +70,7 @@ defmodule Situ.EditLog.Entry do
       when is_integer(n) and kind in @kinds do
     texts = for key <- ~w(at by user program host note), do: json[key]
 
-    if Enum.all?(texts, &(&1 == nil or is_binary(&1))) do
+    if valid_changes?(operation["changes"]) and Enum.all?(texts, &(&1 == nil or is_binary(&1))) do
       [at, by, user, program, host, note] = texts
       entry = %__MODULE__{kind: kind, do: operation, n: n, of: json["of"], note: note}
       file = if is_integer(json["file"]), do: json["file"]
@@ -80,4 +81,7 @@ defmodule Situ.EditLog.Entry do
   end
 
   def parse(_), do: :error
+
+  defp valid_changes?(nil), do: true
+  defp valid_changes?(changes), do: is_list(changes) and Enum.all?(changes, &Changes.change?/1)
 end
