@@ -280,6 +280,11 @@ def sync_folder(path):
         os.close(folder)
 
 
+def read_bytes(path):
+    with open(path, "rb") as file:
+        return file.read()
+
+
 def replace_file(path, content):
     folder = os.path.dirname(os.path.abspath(path))
     with tempfile.NamedTemporaryFile(dir=folder, prefix=os.path.basename(path) + ".", suffix=".tmp", delete=False) as file:
@@ -328,28 +333,30 @@ class Document:
 
     def read(self):
         """Reads the current content. Edits of the file itself get into the log with the next edit."""
-        with open(self.path, "rb") as file:
-            self.text = file.read()
-        value = json.loads(self.text)
-        mark = value.pop("edits", None) if isinstance(value, dict) else None
-        digest = digest_of(self.text)
-        intact = isinstance(mark, dict) and mark.get("digest") == digest
-        self.content, self.outside = self.normalize(value), []
-        self.log = read_log(self.path, mark if intact else None)
-        if self.log is None:
-            self.version = self.file = 0
-            return
-        header, entries, _ = self.log
-        self.version = entries[-1]["n"] if entries else mark["version"] if intact else 0
-        self.file = mark["version"] if intact else 0
-        put_back = any(entry.get("file", 0) > self.file for entry in entries)
-        if intact and mark.get("log") == header["log"] and not put_back:
-            self.content = apply_all(self.content, entry_changes(entries))
-        elif intact:
-            self.log = read_log(self.path)
-            self.merge_file({}, digest)
-        else:
-            self.merge_file(mark if isinstance(mark, dict) else {}, digest)
+        for _ in range(100):
+            self.text = read_bytes(self.path)
+            value = json.loads(self.text)
+            mark = value.pop("edits", None) if isinstance(value, dict) else None
+            digest = digest_of(self.text)
+            intact = isinstance(mark, dict) and mark.get("digest") == digest
+            self.content, self.outside = self.normalize(value), []
+            self.log = read_log(self.path, mark if intact else None)
+            if self.log is None:
+                self.version = self.file = 0
+                return
+            header, entries, _ = self.log
+            if intact and mark.get("log") == header["log"]:
+                self.file = mark["version"]
+                self.version = self.file + len(entries)
+                if all(entry.get("file", 0) <= self.file for entry in entries):
+                    self.content = apply_all(self.content, entry_changes(entries))
+                    return
+            # Unless another program has just written the file, somebody has edited it or put an older one back.
+            if read_bytes(self.path) == self.text:
+                break
+        self.log = read_log(self.path)
+        self.file, self.version = 0, len(self.log[1])
+        self.merge_file({} if intact or not isinstance(mark, dict) else mark, digest)
 
     def merge_file(self, mark, digest):
         """Merges a file that does not contain what the log says: somebody has edited it, or replaced it."""

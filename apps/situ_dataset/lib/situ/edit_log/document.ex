@@ -116,6 +116,8 @@ defmodule Situ.EditLog.Document do
   defp replay_log(_document, _mark), do: :edited
 
   # Somebody has replaced the file by an older one.
+  defp put_back?(%{file: nil}, _mark, _entries), do: false
+
   defp put_back?(%{file: file}, %{"version" => version}, entries),
     do: file > version or Enum.any?(entries, &((&1.file || 0) > version))
 
@@ -129,9 +131,15 @@ defmodule Situ.EditLog.Document do
 
       # The folder cannot be written. The edits of the file are shown all the same.
       {:error, _} ->
-        mark = if mark["intact"], do: nil, else: mark
-        with {:ok, document, _changes} <- merge_file(document, mark), do: {:ok, document}
+        merge_unlocked(document, mark)
     end
+  end
+
+  # Other programs may write the file in the meantime, so an intact file was not necessarily put back.
+  defp merge_unlocked(document, mark) do
+    with :edited <- replay_log(%{document | file: nil}, mark),
+         {:ok, document, _changes} <- merge_file(document, mark),
+         do: {:ok, document}
   end
 
   defp apply_entries(document, {log, entries}) do
