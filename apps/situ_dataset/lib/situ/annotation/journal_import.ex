@@ -37,6 +37,15 @@ defmodule Situ.Annotation.JournalImport do
     end
   end
 
+  @doc "Returns the digest of the journal's content."
+  @spec journal_id(Path.t(), String.t()) :: String.t()
+  def journal_id(store, stream) do
+    case File.read(journal_path(store, stream)) do
+      {:ok, text} -> :sha256 |> :crypto.hash(text) |> Base.encode16() |> String.slice(0, 16)
+      {:error, _} -> ""
+    end
+  end
+
   @doc "Removes the journal."
   @spec remove(Path.t(), String.t()) :: :ok
   def remove(store, stream) do

@@ -326,9 +326,16 @@ defmodule Situ.Annotation.LayerDocument do
     end
   end
 
+  # A program that was killed during the import has appended some of the transactions already.
   defp append_all(state, transactions) do
-    Enum.reduce_while(transactions, {:ok, state}, fn transaction, {:ok, state} ->
-      case append(state, "edit", LayerOperation.encode_transaction(transaction), note: "recovered") do
+    taken = for %{note: "recovered", of: of} <- state.entries, do: of
+    journal = JournalImport.journal_id(state.path, state.stream)
+
+    transactions
+    |> Enum.with_index(&{"#{journal}/#{&2}", LayerOperation.encode_transaction(&1)})
+    |> Enum.reject(fn {id, _} -> id in taken end)
+    |> Enum.reduce_while({:ok, state}, fn {id, operation}, {:ok, state} ->
+      case append(state, "edit", operation, note: "recovered", of: id) do
         {:ok, state} -> {:cont, {:ok, state}}
         {:error, %{code: :not_saved}} = error -> {:halt, error}
         {:error, error} -> {:halt, {:error, JournalImport.mismatch_error(error)}}

@@ -447,6 +447,12 @@ defmodule Situ.Annotation.EditorTest do
       assert %{recovered: 1, undo: 1, unsaved?: true} = Editor.status(editor)
       assert spans(Editor.current_layer(editor)) == [{0, 10}, {20, 30}]
       refute File.exists?(journal)
+      :ok = Editor.stop(editor)
+      # The program was killed before it removed the journal.
+      File.write!(journal, Enum.join(lines, "\n") <> "\n[[9, nul")
+      editor = start(path)
+      assert spans(Editor.current_layer(editor)) == [{0, 10}, {20, 30}]
+      assert %{undo: 1} = Editor.status(editor)
     end
 
     test "is reported if it is damaged", %{path: path, journal: journal} do
