@@ -108,12 +108,13 @@ defmodule Situ.Dataset.DatasetDocument do
     end
   end
 
-  defp change_sessions(sessions, [kind, [name | rest], a, b], path) do
-    with {:ok, %Session{} = session} <- Listing.fetch_item(sessions, name),
-         {:ok, json} <-
-           Changes.apply_change(FileFormat.session_json(session, path), [kind, rest, a, b]),
+  defp change_sessions(sessions, [kind, [name | rest], a, b], path),
+    do: Listing.update_item(sessions, name, &change_session(&1, [kind, rest, a, b], path))
+
+  defp change_session(%Session{} = session, change, path) do
+    with {:ok, json} <- Changes.apply_change(FileFormat.session_json(session, path), change),
          {:ok, session} <- FileFormat.parse_session(json, path) do
-      {:ok, Listing.replace_item(sessions, name, session)}
+      {:ok, session}
     else
       _ -> :conflict
     end

@@ -33,9 +33,9 @@ defmodule Situ.EditLog.Listing do
     do:
       if(list |> MapSet.new(&item_key/1) |> MapSet.size() == length(list), do: kind, else: :none)
 
+  defp item_key(%{name: name}), do: name
   defp item_key(%{"name" => name}), do: name
   defp item_key(%{"id" => id}), do: id
-  defp item_key(%{name: name}), do: name
   defp item_key(text), do: text
 
   @doc """
@@ -182,8 +182,25 @@ defmodule Situ.EditLog.Listing do
 
   @doc "Replaces the item with a key."
   @spec replace_item(list(), String.t(), term()) :: list()
-  def replace_item([item | rest], key, new) do
-    if item_key(item) == key, do: [new | rest], else: [item | replace_item(rest, key, new)]
+  def replace_item(list, key, new) do
+    {:ok, list} = update_item(list, key, fn _ -> {:ok, new} end)
+    list
+  end
+
+  @doc "Changes the item with a key by a function `item -> {:ok, item} | other`; returns `other`, or `:conflict` without it."
+  @spec update_item(list(), String.t(), (term() -> {:ok, term()} | other)) ::
+          {:ok, list()} | :conflict | other
+        when other: term()
+  def update_item(list, key, fun), do: update_item(list, key, fun, [])
+
+  defp update_item([], _key, _fun, _before), do: :conflict
+
+  defp update_item([item | rest], key, fun, before) do
+    if item_key(item) == key do
+      with {:ok, item} <- fun.(item), do: {:ok, :lists.reverse(before, [item | rest])}
+    else
+      update_item(rest, key, fun, [item | before])
+    end
   end
 
   @doc "Renames an item, unless its new key exists."
