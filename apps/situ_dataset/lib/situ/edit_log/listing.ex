@@ -187,7 +187,10 @@ defmodule Situ.EditLog.Listing do
     list
   end
 
-  @doc "Changes the item with a key by a function `item -> {:ok, item} | other`; returns `other`, or `:conflict` without it."
+  @doc """
+  Changes the item with a key by a function `item -> {:ok, item} | other`. Returns `other`, or `:conflict` without such
+  an item.
+  """
   @spec update_item(list(), String.t(), (term() -> {:ok, term()} | other)) ::
           {:ok, list()} | :conflict | other
         when other: term()
