@@ -388,7 +388,7 @@ class Document:
             if self.log is None:
                 return
             if self.outside:
-                more = {"program": "an editor of the file", "of": digest_of(self.text)}
+                more = {"user": None, "program": "an editor of the file", "of": digest_of(self.text)}
                 self.append("outside", self.outside, more)
             if effective:
                 self.append("edit", effective, {})

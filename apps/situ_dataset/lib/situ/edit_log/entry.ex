@@ -28,7 +28,7 @@ defmodule Situ.EditLog.Entry do
 
   @doc """
   Builds an entry of this program. Options: `by:` (the person, if it is not the user of the computer), `of:`, `note:`,
-  `file:`, `program:`, and `at:` (default: the time now).
+  `file:`, `program:`, and `at:` (default: the time now). Nobody knows who made an `outside` change.
   """
   @spec new(String.t(), map(), keyword()) :: t()
   def new(kind, operation, opts \\ []) when kind in @kinds do
@@ -39,7 +39,7 @@ defmodule Situ.EditLog.Entry do
       do: operation,
       at: opts[:at] || author.since,
       by: opts[:by],
-      user: author.user,
+      user: if(kind != "outside", do: author.user),
       program: opts[:program] || author.program,
       host: author.host,
       of: opts[:of],
