@@ -96,6 +96,25 @@ defmodule Situ.Studio.Annotations.LayersTest do
     assert stored(file, "p2") == %{}
   end
 
+  test "the history of a layer lists its edits and restores a version", %{
+    studio: studio,
+    study: file
+  } do
+    page = open(studio, "p1")
+    create(page, "Speech")
+    add(page, 1_000, 2_000, "Ada")
+    add(page, 3_000, 4_000, "Ben")
+    Page.send_event(page, "annotation_history", %{})
+    assert Page.has_element?(page, "#history button[phx-value-version='1']")
+    Page.send_event(page, "annotation_history_restore", %{"version" => "1"})
+    refute Page.has_element?(page, "#history")
+    Page.send_event(page, "annotation_edit", %{"do" => "save"})
+    assert stored(file, "p1") == %{"Speech" => [{"Ada", 1_000, 2_000}]}
+    Page.send_event(page, "annotation_edit", %{"do" => "undo"})
+    Page.send_event(page, "annotation_edit", %{"do" => "save"})
+    assert stored(file, "p1") == %{"Speech" => [{"Ada", 1_000, 2_000}, {"Ben", 3_000, 4_000}]}
+  end
+
   test "a session of one recording keeps the names of its streams", %{studio: studio, study: file} do
     page = open(studio, "single")
     create(page, "Speech")
