@@ -8,6 +8,6 @@ defmodule Situ.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([], mod: {Situ.Application, []})
+    Situ.MixApp.application([:inets], mod: {Situ.Application, []})
   end
 end

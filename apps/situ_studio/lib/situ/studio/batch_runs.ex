@@ -111,7 +111,7 @@ defmodule Situ.Studio.BatchRuns do
   defp busy_error(name),
     do: Error.new(:busy, "#{name} is already being computed", fix: "wait for it, or cancel it")
 
-  defp start_task(owner, id, {server, file}, {module, sessions, opts}, cancel) do
+  defp start_task(owner, id, {server, _file}, {module, sessions, opts}, cancel) do
     commit = fn server, session, partition ->
       with {:ok, _} <- Datasets.put_partition(server, session.name, partition),
            do: {:ok, server}
