@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Manual do
   @moduledoc false
-  # Renders the manual page (troff, for `man`) from the verbs' tables.
+  # Renders the manual from the verbs' tables: as a page for `man` (troff), and as Markdown for the API site.
   alias Situ.CLI.{Help, Option, Verb}
 
   @spec render_page([Verb.t()], String.t()) :: String.t()
@@ -17,6 +17,33 @@ defmodule Situ.CLI.Manual do
       "130 stopped by Ctrl\\-C; 141 the reader of a pipe closed it.\n"
     ])
   end
+
+  @doc "Renders the reference of all commands as Markdown: the text of `--help` of each."
+  @spec render_markdown([Verb.t()], %{String.t() => String.t()}) :: String.t()
+  def render_markdown(verbs, groups) do
+    commands = Enum.chunk_by(verbs, &hd(&1.words))
+
+    IO.iodata_to_binary([
+      "# The command line\n\nThis page shows `situ --help` and the help of each command.\n\n",
+      format_block(Help.format_overview(verbs, groups)),
+      Enum.map(commands, &format_command(&1, groups))
+    ])
+  end
+
+  defp format_command([%{words: [word]} = verb], _groups),
+    do: ["## situ #{word}\n\n", format_block(Help.format_verb(verb))]
+
+  defp format_command([%{words: [word | _]} | _] = verbs, groups) do
+    [
+      "## situ #{word}\n\n",
+      format_block(Help.format_group(word, groups[word], verbs)),
+      for verb <- verbs do
+        ["### situ #{Enum.join(verb.words, " ")}\n\n", format_block(Help.format_verb(verb))]
+      end
+    ]
+  end
+
+  defp format_block(text), do: ["```text\n", String.trim_trailing(text), "\n```\n\n"]
 
   defp format_verb(verb) do
     usage = verb |> Verb.usage_line() |> String.replace_suffix(" [OPTIONS]", "")

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Shell do
   @moduledoc false
   # `situ completion` and `situ manual`: print completion scripts for shells, and the manual page.
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Commands, Completion, Manual, Verb}
+  alias Situ.CLI.{Commands, Completion, Manual, Option, Verb}
 
   @impl true
   def verbs do
@@ -22,6 +22,7 @@ defmodule Situ.CLI.Shell do
       %Verb{
         words: ["manual"],
         summary: "print the manual page, for man",
+        options: [Option.new(:markdown, :flag, "print the help of all commands as Markdown")],
         examples: ["situ manual > ~/.local/share/man/man1/situ.1", "situ manual | man -l -"],
         run: &print_manual/2
       }
@@ -39,12 +40,14 @@ defmodule Situ.CLI.Shell do
     end
   end
 
-  defp print_manual(_args, _opts) do
+  defp print_manual(_args, opts) do
+    verbs = Commands.list_verbs()
+    version = to_string(Application.spec(:situ_cli, :vsn) || "")
+
     IO.write(
-      Manual.render_page(
-        Commands.list_verbs(),
-        to_string(Application.spec(:situ_cli, :vsn) || "")
-      )
+      if opts[:markdown],
+        do: Manual.render_markdown(verbs, Commands.groups()),
+        else: Manual.render_page(verbs, version)
     )
 
     0
