@@ -44,6 +44,7 @@ CORRECTIONS = [
     ('<aside class="toc-drawer', '<aside aria-label="This page" class="toc-drawer'),
     ('<label class="overlay ', '<label aria-hidden="true" class="overlay '),
     ('<th class="head"></th>', '<td></td>'),
+    ('<div id="search-results">', '<h1 class="visually-hidden">Search</h1><div id="search-results">'),
     ('<th class="head"><p></p></th>', '<td></td>'),
 ]
 

@@ -65,10 +65,13 @@ for module in modules:
 functions = 0
 with open(signatures, encoding="utf-8") as file:
     for line in file:
-        module, name = line.split()
-        functions += 1
-        if name not in pages.get(f"api/{module}.html", Page("")).ids:
-            problems.append(f"{module}: no anchor for {name}")
+        found = re.match(r"^(?:stable|experimental) ([ct]:)?([A-Z][\w.]*)\.([^. ]+/\d+)(?: \(deprecated\))?$", line)
+        if found:
+            functions += 1
+            kind, module, name = found.groups()
+            page = pages.get(f"api/{module}.html")
+            if page is None or (kind or "") + name not in page.ids:
+                problems.append(f"{module}: no anchor for {kind or ''}{name}")
 
 print("\n".join(sorted(set(problems))))
 print(f"{len(pages)} pages, {count} internal links, {len(modules)} modules, {functions} functions")

@@ -42,7 +42,9 @@ defmodule Mix.Tasks.Situ.Docs do
   defp encode_json(groups) do
     rows =
       for group <- groups do
-        pages = for page <- group.pages, do: ~s({"title": "#{page.title}", "page": "#{page.page}"})
+        pages =
+          for page <- group.pages, do: ~s({"title": "#{page.title}", "page": "#{page.page}"})
+
         ~s({"title": "#{group.title}", "part": "#{group.part}", "pages": [#{Enum.join(pages, ", ")}]})
       end
 

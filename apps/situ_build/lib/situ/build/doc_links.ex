@@ -16,8 +16,21 @@ defmodule Situ.Build.DocLinks do
   """
   @type t :: %__MODULE__{targets: map(), pages: %{Path.t() => Path.t()}, source_url: String.t()}
 
-  @code ~r/(?<fence>^ *(?<tick>```|~~~).*?^ *\k<tick> *$)|(?<block>^(?: {4}|\t)[^\n]*$)|(?<head>^\#{1,6} [^\n]*$)|(?<image>!\[(?<alt>[^\]]*)\]\((?<src>[^)\s]+)\))|(?<link>\[(?<label>(?:[^\[\]]|`[^`]*`)*)\]\((?<url>[^)\s]+)\))|(?<double>``.*?``)|`(?<span>[^`]+)`/ms
-  @name ~r/^(?:(?<kind>[tcm]):)?(?:(?<module>[A-Z]\w*(?:\.[A-Z]\w*)*)(?:\.|$))?(?:(?<name>[a-z_]\w*[?!]?)\/(?<arity>\d+))?$/
+  @code Enum.join(
+          [
+            # Blocks of code and headings, which stay as they are.
+            ~S"(?<fence>^ *(?<tick>```|~~~).*?^ *\k<tick> *$)",
+            ~S"(?<block>^(?: {4}|\t)[^\n]*$)",
+            ~S"(?<head>^\#{1,6} [^\n]*$)",
+            ~S"(?<image>!\[(?<alt>[^\]]*)\]\((?<src>[^)\s]+)\))",
+            ~S"(?<link>\[(?<label>(?:[^\[\]]|`[^`]*`)*)\]\((?<url>[^)\s]+)\))",
+            ~S"(?<double>``.*?``)",
+            ~S"`(?<span>[^`]+)`"
+          ],
+          "|"
+        )
+  @name "^(?:(?<kind>[tcm]):)?(?:(?<module>[A-Z]\\w*(?:\\.[A-Z]\\w*)*)(?:\\.|$))?" <>
+          "(?:(?<name>[a-z_]\\w*[?!]?)\\/(?<arity>\\d+))?$"
 
   @doc "Collects the targets of these modules, whose pages are `api/NAME.html`."
   @spec new([ModuleDocs.t()], %{Path.t() => Path.t()}, String.t()) :: t()
@@ -74,10 +87,12 @@ defmodule Situ.Build.DocLinks do
   @spec link_text(t(), String.t(), %{page: Path.t(), file: Path.t(), module: String.t() | nil}) ::
           String.t()
   def link_text(links, text, place) do
-    @code
+    code = Regex.compile!(@code, "ms")
+
+    code
     |> Regex.split(text, include_captures: true)
     |> Enum.map_join(fn part ->
-      case Regex.named_captures(@code, part) do
+      case Regex.named_captures(code, part) do
         nil -> part
         captures -> replace_match(links, place, captures, part)
       end
@@ -102,7 +117,7 @@ defmodule Situ.Build.DocLinks do
   defp replace_match(_links, _place, _captures, whole), do: whole
 
   defp find_target(links, place, code) do
-    case Regex.named_captures(@name, code) do
+    case Regex.named_captures(Regex.compile!(@name), code) do
       nil ->
         nil
 
@@ -127,7 +142,9 @@ defmodule Situ.Build.DocLinks do
   def link_code(links, code, place) do
     code = escape_html(code)
 
-    Regex.replace(~r/\b(?:([A-Z]\w*(?:\.[A-Z]\w*)*)\.)?([a-z_]\w*)\(\)/, code, fn whole, module, name ->
+    Regex.replace(~r/\b(?:([A-Z]\w*(?:\.[A-Z]\w*)*)\.)?([a-z_]\w*)\(\)/, code, fn whole,
+                                                                                  module,
+                                                                                  name ->
       module = if module == "", do: place.module, else: module
 
       case links.targets[{module, "t:", name, 0}] do

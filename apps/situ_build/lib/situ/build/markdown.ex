@@ -3,8 +3,6 @@ defmodule Situ.Build.Markdown do
   # Adapts Markdown to its page on the API site: levels of headings, languages of code blocks, and anchors that links
   # on GitHub use.
 
-  @heading ~r/^(\#{1,6}) +(.+?) *$/
-
   @doc """
   Moves the headings so that the highest one has `level`.
 
@@ -13,7 +11,10 @@ defmodule Situ.Build.Markdown do
   """
   @spec shift_headings(String.t(), pos_integer()) :: String.t()
   def shift_headings(text, level) do
-    levels = for {:text, line} <- mark_lines(text), [_, marks, _] <- [Regex.run(@heading, line)], do: byte_size(marks)
+    levels =
+      for {:text, line} <- mark_lines(text),
+          [_, marks, _] <- [match_heading(line)],
+          do: byte_size(marks)
 
     case Enum.min(levels, fn -> level end) do
       ^level -> text
@@ -22,7 +23,7 @@ defmodule Situ.Build.Markdown do
   end
 
   defp shift_line(line, by) do
-    case Regex.run(@heading, line) do
+    case match_heading(line) do
       [_, marks, title] -> String.duplicate("#", min(byte_size(marks) + by, 6)) <> " " <> title
       nil -> line
     end
@@ -39,7 +40,7 @@ defmodule Situ.Build.Markdown do
   @spec add_anchors(String.t()) :: String.t()
   def add_anchors(text) do
     map_text(text, fn line ->
-      case Regex.run(@heading, line) do
+      case match_heading(line) do
         [_, _, title] -> anchor_line(title, line)
         nil -> line
       end
@@ -136,6 +137,8 @@ defmodule Situ.Build.Markdown do
       true -> {{:text, line}, {:text, list?}}
     end
   end
+
+  defp match_heading(line), do: Regex.run(~r/^(\#{1,6}) +(.+?) *$/, line)
 
   defp fence?(line), do: line =~ ~r/^ *(```|~~~)/
 

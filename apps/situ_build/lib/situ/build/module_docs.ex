@@ -59,13 +59,13 @@ defmodule Situ.Build.ModuleDocs do
       line: :erl_anno.line(annotation),
       text: text,
       fields: struct_fields(module),
-      entries: for(doc <- docs, shown?(doc), do: build_entry(doc, code))
+      entries: for(doc <- docs, public_entry?(doc), do: build_entry(doc, code))
     }
   end
 
-  defp shown?({{_, :__struct__, _}, _, _, _, _}), do: false
-  defp shown?({_, _, _, :hidden, _}), do: false
-  defp shown?(_doc), do: true
+  defp public_entry?({{_, :__struct__, _}, _, _, _, _}), do: false
+  defp public_entry?({_, _, _, :hidden, _}), do: false
+  defp public_entry?(_doc), do: true
 
   defp build_entry({{kind, name, arity}, annotation, signature, doc, metadata}, code) do
     %{

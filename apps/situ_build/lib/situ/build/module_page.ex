@@ -38,7 +38,9 @@ defmodule Situ.Build.ModulePage do
   end
 
   defp render_section(title, kinds, module, context) do
-    case module.entries |> Enum.filter(&(&1.kind in kinds)) |> Enum.sort_by(&{&1.name, &1.arity}) do
+    case module.entries
+         |> Enum.filter(&(&1.kind in kinds))
+         |> Enum.sort_by(&{&1.name, &1.arity}) do
       [] ->
         []
 
@@ -60,7 +62,9 @@ defmodule Situ.Build.ModulePage do
         text = if entry.deprecated, do: "Deprecated. #{entry.text}", else: entry.text
         summary = text |> first_sentence() |> DocLinks.escape_html() |> format_inline()
 
-        ~s(<tr><td><a href="##{DocLinks.anchor(entry)}"><code>#{DocLinks.escape_html(short_name(entry))}</code></a></td>) <>
+        name = entry |> short_name() |> DocLinks.escape_html()
+
+        ~s(<tr><td><a href="##{DocLinks.anchor(entry)}"><code>#{name}</code></a></td>) <>
           "<td>#{summary}</td></tr>\n"
       end,
       "</tbody></table>\n\n"
@@ -91,14 +95,16 @@ defmodule Situ.Build.ModulePage do
     source = DocLinks.source_link(links, module.path, entry.line)
 
     [
-      ~s(<span class="anchor" id="#{DocLinks.anchor(entry)}"></span>\n\n### #{short_name(entry)}\n\n),
+      for(arity <- entry.arities, do: render_anchor(%{entry | arity: arity})),
+      "\n\n### #{short_name(entry)}\n\n",
       ~s(<pre class="signature"><code>),
       DocLinks.escape_html(entry.signature),
       render_code(entry, links, place),
       "</code></pre>\n",
       ~s(<p class="facts">),
       Enum.intersperse(
-        entry_facts(entry) ++ [~s(<a href="#{source}" aria-label="Source of #{short_name(entry)}">source</a>)],
+        entry_facts(entry) ++
+          [~s(<a href="#{source}" aria-label="Source of #{short_name(entry)}">source</a>)],
         " · "
       ),
       "</p>\n\n",
@@ -106,6 +112,8 @@ defmodule Situ.Build.ModulePage do
       render_text(entry.text || "", 4, links, place)
     ]
   end
+
+  defp render_anchor(entry), do: ~s(<span class="anchor" id="#{DocLinks.anchor(entry)}"></span>)
 
   defp render_code(%{code: ""}, _links, _place), do: []
   defp render_code(entry, links, place), do: ["\n", DocLinks.link_code(links, entry.code, place)]

@@ -83,7 +83,7 @@ defmodule Situ.Build.SitePages do
               page = find_page(file, pages),
               do: %{title: label, page: page}
 
-        %{title: title, part: "Guides", pages: items}
+        %{title: title, part: "Guides", pages: items ++ made_pages(title)}
       end
 
     modules =
@@ -98,8 +98,10 @@ defmodule Situ.Build.SitePages do
     Enum.reject(guides ++ modules, &(&1.pages == []))
   end
 
-  # The command line's pages are made by the command line itself.
-  defp find_page("commands.html", _pages), do: "commands.html"
+  # `bin/docs` makes this page with the command line.
+  defp made_pages("Reference"), do: [%{title: "Command line", page: "commands.html"}]
+  defp made_pages(_title), do: []
+
   defp find_page(file, pages), do: pages[DocLinks.collapse_path("docs/" <> file)]
 
   defp split_sections(text) do
