@@ -14,8 +14,12 @@ defmodule Mix.Tasks.Situ.Check do
     * files and lines that are too long (`Situ.Build.Sources`);
     * names and English that are worse than the limits allow (`Situ.Build.Limits`);
     * differences between the list of public modules and their documentation (`Situ.Build.PublicModules`);
+    * public signatures that changed without an entry in the changelog (`Situ.Build.Signatures`);
     * decision records that nothing cites (`Situ.Build.Decisions`);
     * subjects of commits that are not imperative or too long (`Situ.Build.Commits`).
+
+  `mix situ.check --write-signatures [FILE]` checks nothing. It records the public signatures in `docs/signatures.txt`
+  (or `FILE`) when a version is released.
 
   The compiler's warnings cover only calls. This check reads the debug information of every compiled module, which
   also contains struct literals (`%Sibling{}`) and module names passed as values. The exit status is 0 if there are
@@ -31,12 +35,27 @@ defmodule Mix.Tasks.Situ.Check do
     Layers,
     Limits,
     PublicModules,
+    Signatures,
     Sources
   }
 
   @impl Mix.Task
-  def run(_args) do
+  def run(arguments) do
     lib = Path.join(Mix.Project.build_path(), "lib")
+    Enum.each(Path.wildcard(Path.join(lib, "*/ebin")), &Code.append_path/1)
+
+    case OptionParser.parse!(arguments, strict: [write_signatures: :boolean]) do
+      {[], []} -> check_all(lib)
+      {[write_signatures: true], path} -> write_signatures(lib, path)
+    end
+  end
+
+  defp write_signatures(lib, path),
+    do: Signatures.write_file(File.cwd!(), lib, project_version(), List.first(path))
+
+  defp project_version, do: Mix.Project.config()[:version]
+
+  defp check_all(lib) do
     modules = Architecture.read_modules(lib)
 
     problems =
@@ -46,6 +65,7 @@ defmodule Mix.Tasks.Situ.Check do
         find_cycles(modules) ++
         rust_cycles("native") ++
         PublicModules.find_violations(File.cwd!(), lib, Map.keys(modules)) ++
+        Signatures.find_violations(File.cwd!(), lib, project_version()) ++
         check_sources(File.cwd!())
 
     report_layers(modules)

@@ -13,6 +13,10 @@ defmodule Situ.Build.ArchitectureTest do
   doctest Situ.Build.Decisions
   doctest Situ.Build.Commits
   doctest Situ.Build.PublicModules
+  doctest Situ.Build.Signatures
+  doctest Situ.Build.DocLinks
+  doctest Situ.Build.Markdown
+  doctest Situ.Build.SitePages
 
   defp compile(source, tmp, apps) do
     before = Code.get_compiler_option(:debug_info)
