@@ -121,7 +121,10 @@ defmodule Situ.Build.ModuleDocs do
   defp format_type(_kind, quoted), do: format_code("@type ", quoted)
 
   defp format_code(prefix, quoted) do
-    (prefix <> Macro.to_string(quoted))
+    # Without the lines of the source, the formatter breaks only lines that are too long.
+    code = quoted |> Macro.prewalk(&Macro.update_meta(&1, fn _ -> [] end)) |> Macro.to_string()
+
+    (prefix <> code)
     |> Code.format_string!(line_length: 90)
     |> IO.iodata_to_binary()
   end
