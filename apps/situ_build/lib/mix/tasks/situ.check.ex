@@ -42,7 +42,6 @@ defmodule Mix.Tasks.Situ.Check do
   @impl Mix.Task
   def run(arguments) do
     lib = Path.join(Mix.Project.build_path(), "lib")
-    Enum.each(Path.wildcard(Path.join(lib, "*/ebin")), &Code.append_path/1)
 
     case OptionParser.parse!(arguments, strict: [write_signatures: :boolean]) do
       {[], []} -> check_all(lib)

@@ -16,6 +16,9 @@ defmodule Situ.Build.DocLinks do
   """
   @type t :: %__MODULE__{targets: map(), pages: %{Path.t() => Path.t()}, source_url: String.t()}
 
+  @typedoc "The page that shows a text, the file that contains it, and the module whose functions it may name alone."
+  @type place :: %{page: Path.t(), file: Path.t(), module: String.t() | nil}
+
   @code Enum.join(
           [
             # Blocks of code and headings, which stay as they are.
@@ -80,12 +83,8 @@ defmodule Situ.Build.DocLinks do
     url |> String.replace("%{path}", path) |> String.replace("%{line}", to_string(line))
   end
 
-  @doc """
-  Returns `text` with its links. `place` has the page that shows the text, the file that contains it, and the module
-  whose functions it may name without the module.
-  """
-  @spec link_text(t(), String.t(), %{page: Path.t(), file: Path.t(), module: String.t() | nil}) ::
-          String.t()
+  @doc "Returns `text` with its links."
+  @spec link_text(t(), String.t(), place()) :: String.t()
   def link_text(links, text, place) do
     code = Regex.compile!(@code, "ms")
 
@@ -138,7 +137,7 @@ defmodule Situ.Build.DocLinks do
     do: links.targets[{module, kind <> ":", name, arity}]
 
   @doc "Returns the typespec `code` as HTML, with links to the types of public modules."
-  @spec link_code(t(), String.t(), %{page: Path.t(), module: String.t()}) :: String.t()
+  @spec link_code(t(), String.t(), place()) :: String.t()
   def link_code(links, code, place) do
     code = escape_html(code)
 

@@ -33,6 +33,8 @@ defmodule Situ.Build.ModuleDocs do
   @doc "Reads the compiled public modules `names` in the build folder `lib`, in the given order."
   @spec read_all(Path.t(), [String.t()]) :: [t()]
   def read_all(lib, names) do
+    Enum.each(Path.wildcard(Path.join(lib, "*/ebin")), &Code.append_path/1)
+
     files =
       for path <- Path.wildcard(Path.join(lib, "*/ebin/Elixir.Situ*.beam")),
           into: %{},
@@ -41,16 +43,14 @@ defmodule Situ.Build.ModuleDocs do
     for name <- names, path = files[name], do: read_module(path)
   end
 
-  @doc "Reads one compiled module, which has documentation."
-  @spec read_module(Path.t()) :: t()
-  def read_module(beam) do
+  defp read_module(beam) do
     {:docs_v1, annotation, _language, _format, %{"en" => text}, _metadata, docs} =
       Code.fetch_docs(beam)
 
     {:ok, {module, [compile_info: info]}} =
       :beam_lib.chunks(String.to_charlist(beam), [:compile_info])
 
-    code = read_code(File.read!(beam))
+    code = read_code(module)
 
     %__MODULE__{
       name: inspect(module),
@@ -90,10 +90,10 @@ defmodule Situ.Build.ModuleDocs do
   defp spec_kind(_kind), do: :spec
 
   # Typespecs by kind, name and arity. Those of macros have another name and one more argument in the compiled module.
-  defp read_code(binary) do
-    specs = collect_specs(:spec, "@spec ", Code.Typespec.fetch_specs(binary))
-    callbacks = collect_specs(:callback, "@callback ", Code.Typespec.fetch_callbacks(binary))
-    Map.new(specs ++ callbacks ++ collect_types(Code.Typespec.fetch_types(binary)))
+  defp read_code(module) do
+    specs = collect_specs(:spec, "@spec ", Code.Typespec.fetch_specs(module))
+    callbacks = collect_specs(:callback, "@callback ", Code.Typespec.fetch_callbacks(module))
+    Map.new(specs ++ callbacks ++ collect_types(Code.Typespec.fetch_types(module)))
   end
 
   defp collect_specs(_kind, _prefix, :error), do: []
