@@ -23,7 +23,7 @@ defmodule Situ.Build.ModulePageTest do
     @callback name(size()) :: String.t()
 
     @doc """
-    Returns the area, a `t:size/0`; [the guide](../../docs/guide.md) explains it.
+    Returns the area, a `t:size/0`; [the guide](../../../docs/guide.md) explains it.
     """
     @doc since: "1.1.0"
     @spec area(size(), keyword()) :: size()
@@ -86,7 +86,7 @@ defmodule Situ.Build.ModulePageTest do
 
     assert page =~ "[`area/2`](../api/Situ.Build.Sample.Shapes.html#area/2)"
     assert page =~ "see [`area/2`]"
-    assert page =~ "[the guide](../guide.html)" or page =~ "[the guide](https://example.org/"
+    assert page =~ "[the guide](../guide.html)"
     assert page =~ ~s(<a href="../api/Situ.Build.Sample.Shapes.html#t:size/0">size\(\)</a>)
     assert page =~ ~r{https://example.org/apps/situ_sample/lib/shapes.ex#L\d+}
     refute page =~ "hidden"
