@@ -34,7 +34,7 @@ defmodule Situ.Simulation do
   - Processes that you spawn yourself are not simulated, except with `spawn_process/2`. The jobs of `Situ.map_async/3`
     are.
   - A `receive` with `after`, `Process.sleep/1` and `Process.send_after/3` wait for real time. Use timers of the
-    pipeline (`{:timer, key, time}`, `Situ.timer/3`), which follow virtual time.
+    pipeline (`{:timer, key, time}`, `Situ.timer/2`), which follow virtual time.
   - Log messages of simulated processes are dropped.
 
   The guide `docs/guides/simulation.md` shows how to test your pipelines.

@@ -14,6 +14,7 @@ defmodule Mix.Tasks.Situ.Check do
     * files and lines that are too long (`Situ.Build.Sources`);
     * names and English that are worse than the limits allow (`Situ.Build.Limits`);
     * differences between the list of public modules and their documentation (`Situ.Build.PublicModules`);
+    * functions that a guide or the documentation names and that do not exist (`Situ.Build.DocLinks`);
     * public signatures that changed without an entry in the changelog (`Situ.Build.Signatures`);
     * decision records that nothing cites (`Situ.Build.Decisions`);
     * subjects of commits that are not imperative or too long (`Situ.Build.Commits`).
@@ -32,8 +33,10 @@ defmodule Mix.Tasks.Situ.Check do
     Commits,
     Cycles,
     Decisions,
+    DocLinks,
     Layers,
     Limits,
+    ModuleDocs,
     PublicModules,
     Signatures,
     Sources
@@ -65,6 +68,7 @@ defmodule Mix.Tasks.Situ.Check do
         rust_cycles("native") ++
         PublicModules.find_violations(File.cwd!(), lib, Map.keys(modules)) ++
         Signatures.find_violations(File.cwd!(), lib, project_version()) ++
+        find_unknown_names(lib) ++
         check_sources(File.cwd!())
 
     report_layers(modules)
@@ -75,6 +79,23 @@ defmodule Mix.Tasks.Situ.Check do
     end
 
     Mix.shell().info("architecture: every edge is allowed, 0 cycles")
+  end
+
+  # The page on upgrading names functions of earlier versions.
+  defp find_unknown_names(lib) do
+    names = "docs/api.md" |> File.read!() |> PublicModules.parse_list() |> Map.keys()
+    modules = ModuleDocs.read_all(lib, Enum.sort(names))
+
+    guides =
+      for path <- Path.wildcard("docs/**/*.md") -- ["docs/upgrading.md"],
+          do: {path, File.read!(path)}
+
+    docs =
+      for module <- modules,
+          text <- ModuleDocs.list_texts(module),
+          do: {"the documentation of #{module.name}", text}
+
+    modules |> DocLinks.new(%{}, "") |> DocLinks.find_unknown(guides ++ docs)
   end
 
   defp check_sources(root) do

@@ -98,6 +98,23 @@ defmodule Situ.Build.DocLinks do
     end)
   end
 
+  @doc """
+  Returns one sentence for each function of a public module that a text names and that does not exist.
+
+      iex> links = %Situ.Build.DocLinks{targets: %{{"A"} => "", {"A", "", "f", 1} => ""}, pages: %{}, source_url: ""}
+      iex> Situ.Build.DocLinks.find_unknown(links, [{"x.md", "`A.f/1`, `A.f/2` and `B.f/1`"}])
+      ["x.md names A.f/2, which does not exist"]
+  """
+  @spec find_unknown(t(), [{String.t(), String.t()}]) :: [String.t()]
+  def find_unknown(links, texts) do
+    for {place, text} <- texts,
+        [_, kind, module, name, arity] <-
+          Regex.scan(~r/`(?:([tc]):)?([A-Z][\w.]*)\.([a-z_]\w*[?!]?)\/(\d+)`/, text),
+        is_map_key(links.targets, {module}),
+        find_function(links, module, kind, name, String.to_integer(arity)) == nil,
+        do: "#{place} names #{module}.#{name}/#{arity}, which does not exist"
+  end
+
   defp replace_match(links, place, %{"url" => url, "label" => label}, _whole) when url != "",
     do: "[#{label}](#{resolve_link(links, place, url)})"
 

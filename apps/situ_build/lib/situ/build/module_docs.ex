@@ -63,6 +63,11 @@ defmodule Situ.Build.ModuleDocs do
     }
   end
 
+  @doc "Returns all texts of a module's documentation."
+  @spec list_texts(t()) :: [String.t()]
+  def list_texts(module),
+    do: [module.text | for(entry <- module.entries, entry.text != nil, do: entry.text)]
+
   defp public_entry?({{_, :__struct__, _}, _, _, _, _}), do: false
   defp public_entry?({_, _, _, :hidden, _}), do: false
   defp public_entry?(_doc), do: true
