@@ -32,6 +32,7 @@ defmodule Situ.Umbrella.MixProject do
           situ: :permanent,
           situ_store: :permanent,
           situ_dataset: :permanent,
+          situ_experiment: :permanent,
           situ_media: :permanent,
           situ_space: :permanent,
           situ_infer: :permanent,

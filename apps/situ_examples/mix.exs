@@ -10,6 +10,7 @@ defmodule Situ.Examples.MixProject do
         :situ,
         :situ_store,
         :situ_dataset,
+        :situ_experiment,
         :situ_media,
         :situ_space,
         :situ_infer,

@@ -18,6 +18,7 @@ defmodule Situ.Build.Architecture do
     situ: [:situ_types],
     situ_store: [:situ, :situ_types],
     situ_dataset: [:situ, :situ_store, :situ_types],
+    situ_experiment: [:situ, :situ_dataset, :situ_store, :situ_types],
     situ_media: [:situ, :situ_store, :situ_types],
     situ_space: [:situ, :situ_media, :situ_store, :situ_types],
     situ_infer: [:situ, :situ_media, :situ_types],
@@ -29,11 +30,17 @@ defmodule Situ.Build.Architecture do
     situ_live: [:situ_types]
   }
 
-  @below_studio Map.keys(@allowed) -- [:situ_assistant, :situ_build]
+  @below_studio Map.keys(@allowed) -- [:situ_assistant, :situ_build, :situ_experiment]
   @allowed Map.merge(@allowed, %{
              situ_studio: @below_studio,
-             situ_cli: [:situ_assistant, :situ_studio | @below_studio],
-             situ_examples: [:situ_assistant, :situ_cli, :situ_studio | @below_studio]
+             situ_cli: [:situ_assistant, :situ_experiment, :situ_studio | @below_studio],
+             situ_examples: [
+               :situ_assistant,
+               :situ_cli,
+               :situ_experiment,
+               :situ_studio
+               | @below_studio
+             ]
            })
 
   @doc """

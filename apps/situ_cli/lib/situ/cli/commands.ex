@@ -7,6 +7,7 @@ defmodule Situ.CLI.Commands do
     Dataset,
     Devices,
     Doctor,
+    Experiment,
     Interactive,
     New,
     Plugin,
@@ -39,6 +40,7 @@ defmodule Situ.CLI.Commands do
     Dataset.Versions,
     Query,
     Task,
+    Experiment,
     Annotate,
     Annotate.LayerVersions,
     Studio,
@@ -55,6 +57,8 @@ defmodule Situ.CLI.Commands do
     "store" => "inspect, check, repair, cut, copy and edit recordings",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
     "task" => "list and run batch tasks over the sessions of a dataset",
+    "experiment" =>
+      "run a pipeline with many parameters over a dataset, compare and check the results",
     "plugin" => "create, list and test plug-ins: visualizers, adapters, file formats, tasks",
     "cluster" => "run pipelines on several nodes: create, join, inspect, deploy, move",
     "annotate" => "exchange annotations with other programs, compare annotators"

@@ -1,0 +1,91 @@
+defmodule Situ.CLI.Experiment.Running do
+  @moduledoc false
+  # `situ experiment run`: runs an experiment with a status line, and ends it properly at Ctrl-C.
+  alias Situ.CLI.Experiment.{Loading, Viewing}
+  alias Situ.CLI.{Output, Terminal}
+  alias Situ.CLI.Run.Interrupt
+  alias Situ.Experiment.{RunRecord, Runner}
+  alias Situ.{Dataset, Error, Time}
+
+  # The status of a process that Ctrl-C ended.
+  @interrupted 130
+
+  @methods %{"grid" => :grid, "random" => :random, "halving" => :halving}
+
+  @doc "Runs the verb."
+  @spec run_experiment(map(), keyword()) :: 0..255
+  def run_experiment(%{file: file, dataset: path}, opts) do
+    experiment = Loading.load_experiment!(file)
+    dataset = Loading.open_dataset!(path)
+
+    settings = [
+      jobs: max(opts[:jobs], 1),
+      method: @methods[opts[:method]],
+      trials: max(opts[:trials], 1),
+      seed: opts[:seed],
+      sessions: Loading.session_filter(dataset, opts)
+    ]
+
+    case run_interruptibly(experiment, dataset, settings, opts) do
+      {:ok, {folder, run}} ->
+        Viewing.print_run(folder, run, opts)
+        if run["failed"] > 0, do: 1, else: 0
+
+      :interrupted ->
+        @interrupted
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  @doc "Runs an experiment until it ends or is interrupted; `settings` are options of the runner."
+  @spec run_interruptibly(Loading.experiment(), Dataset.t(), keyword(), keyword()) ::
+          {:ok, {Path.t(), map()}} | :interrupted | {:error, Error.t()}
+  def run_interruptibly(experiment, dataset, settings, opts) do
+    terminal = Terminal.open(opts)
+
+    settings =
+      [
+        file: experiment.file,
+        binaries: experiment.binaries,
+        progress: &Terminal.replace_line(terminal, format_progress(&1))
+      ] ++ settings
+
+    Interrupt.with_message(:interrupted, fn ->
+      # A run that crashes must not end the command before it prints the error.
+      before = Process.flag(:trap_exit, true)
+      task = Task.async(fn -> Runner.run(experiment.module, dataset, settings) end)
+      result = await_run(task, dataset)
+      Process.flag(:trap_exit, before)
+      Terminal.close(terminal)
+      result
+    end)
+  end
+
+  defp await_run(%{ref: ref} = task, dataset) do
+    receive do
+      {^ref, result} ->
+        Process.demonitor(ref, [:flush])
+        result
+
+      {:DOWN, ^ref, _, _, reason} ->
+        {:error, Error.new(:run_crashed, "the run crashed", why: inspect(reason, limit: 10))}
+
+      :interrupted ->
+        Task.shutdown(task, :brutal_kill)
+        RunRecord.mark_interrupted(dataset)
+        Output.warn("Interrupted. The results so far are kept; the same command continues.")
+        :interrupted
+    end
+  end
+
+  defp format_progress(progress) do
+    %{done: done, total: total, failed: failed} = progress
+    left = progress.left_s && Time.format_duration(round(progress.left_s) * 1_000_000_000)
+    failures = if failed > 0, do: ", #{failed} failed", else: ""
+    estimate = if left && done < total, do: ", about #{left} left", else: ""
+    session = if progress.last, do: " (#{Output.format_name(progress.last["session"])})", else: ""
+    "#{done} of #{total} results#{failures}#{estimate}#{session}"
+  end
+end
