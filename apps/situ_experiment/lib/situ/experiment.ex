@@ -45,7 +45,6 @@ defmodule Situ.Experiment do
   The folder can be deleted; the next run computes everything again.
   """
   # See docs/adr/0171-experiments-are-modules-with-four-callbacks.md.
-  alias Situ.Dataset.Importer
   alias Situ.Experiment.{Input, StageCache}
 
   @typedoc "The session that `build/3` reads: see `stream/3`, `has_stream?/2`, `metadata/1` and `cached/3`."
@@ -88,15 +87,15 @@ defmodule Situ.Experiment do
   """
   @spec stream(session(), String.t(), keyword()) :: Situ.Stream.t()
   def stream(%Input{} = session, name, opts \\ []),
-    do: Importer.stream(session.importer, name, opts)
+    do: Input.open_stream(session, name, opts)
 
   @doc "Returns whether a name refers to exactly one stream of the session."
   @spec has_stream?(session(), String.t()) :: boolean()
-  def has_stream?(%Input{} = session, name), do: Importer.has_stream?(session.importer, name)
+  def has_stream?(%Input{} = session, name), do: Input.has_stream?(session, name)
 
   @doc "Returns the metadata of the session, a JSON object."
   @spec metadata(session()) :: map()
-  def metadata(%Input{importer: importer}), do: importer.session.session.metadata
+  def metadata(%Input{session: session}), do: session.metadata
 
   @doc """
   Returns the streams of a stage that is computed once for each session and then read from disk.

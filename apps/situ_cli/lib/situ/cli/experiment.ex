@@ -33,7 +33,8 @@ defmodule Situ.CLI.Experiment do
                 default: "grid"
               ),
               Option.new(:trials, :integer, "the number of sets of a random search", default: 20),
-              Option.new(:seed, :integer, "the seed of all random choices", default: 1)
+              Option.new(:seed, :integer, "the seed of all random choices", default: 1),
+              top_option()
             ],
         examples: [
           "situ experiment run tune.exs study.json --jobs 2",
@@ -60,6 +61,7 @@ defmodule Situ.CLI.Experiment do
           run: [kind: :text, optional: true, doc: "the run, from `situ experiment list`"]
         ],
         options: [
+          top_option(),
           Option.new(:sessions, :flag, "also show every session of the best set"),
           Option.new(:set, :integer, "the set of --sessions (default: the best)"),
           Option.new(:markdown, :flag, "print the tables in Markdown"),
@@ -138,6 +140,7 @@ defmodule Situ.CLI.Experiment do
     ]
   end
 
+  defp top_option, do: Option.new(:top, :integer, "show only the best N sets", default: 20)
   defp run_option, do: Option.new(:run, :string, "the run (default: the latest)", value: "RUN")
 
   defp session_options do

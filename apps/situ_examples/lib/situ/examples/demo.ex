@@ -19,6 +19,7 @@ defmodule Situ.Examples.Demo do
     --no-open        do not open a browser
     --cluster        run on three nodes and kill a node midway (--cluster --help)
     --dataset        run a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
+    --experiment     tune the detection over 15 sessions (--experiment --help)
     --scene          record a 3D room instead, with bodies, detections and speech (--scene --help)
 
   Exit status: 0 success, 1 failure, 2 wrong usage.
@@ -35,6 +36,7 @@ defmodule Situ.Examples.Demo do
 
   alias Situ.Examples.Demo.{
     ClusterCommand,
+    ExperimentCommand,
     Options,
     Profile,
     RecordingSummary,
@@ -55,6 +57,7 @@ defmodule Situ.Examples.Demo do
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
     cond do
+      "--experiment" in argv -> ExperimentCommand.run(argv)
       "--dataset" in argv -> Situ.Examples.Study.run(argv)
       "--scene" in argv -> Situ.Examples.Demo.SceneCommand.run(argv)
       "--cluster" in argv -> ClusterCommand.run(argv, &record_clip/1)

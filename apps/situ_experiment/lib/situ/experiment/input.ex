@@ -1,22 +1,28 @@
 defmodule Situ.Experiment.Input do
   @moduledoc false
-  # The session that `build/3` of an experiment reads, and the context of its run.
-  alias Situ.Dataset.{Importer, Session}
+  # The session that `build/3` of an experiment reads, and the context of its run. The recordings are opened when a
+  # stream is requested, because opening a video takes longer than a set of parameters whose stages are cached.
+  alias Situ.Dataset.{Importer, OpenSession, Session}
   alias Situ.Experiment.Context
 
-  @enforce_keys [:importer, :context, :stamp]
-  defstruct [:importer, :context, :stamp]
+  @enforce_keys [:pipeline, :session, :context, :stamp]
+  defstruct [:pipeline, :session, :context, :stamp]
 
-  @type t :: %__MODULE__{importer: Importer.t(), context: Context.t(), stamp: String.t()}
+  @typedoc "`stamp` identifies the contents of the session's recordings."
+  @type t :: %__MODULE__{
+          pipeline: Situ.Pipeline.t(),
+          session: Session.t(),
+          context: Context.t(),
+          stamp: String.t()
+        }
 
-  @doc "Opens a session in a pipeline. `stamp` identifies the contents of its recordings."
-  @spec open(Situ.Pipeline.t(), Session.t(), Context.t(), String.t()) :: t()
-  def open(p, %Session{} = session, %Context{} = context, stamp) do
-    importer = Importer.open(p, session)
+  @doc "Returns a stream of the session."
+  @spec open_stream(t(), String.t(), keyword()) :: Situ.Stream.t()
+  def open_stream(%__MODULE__{} = input, name, opts),
+    do: input.pipeline |> Importer.open(input.session) |> Importer.stream(name, opts)
 
-    case importer.session do
-      %{stores: [], troubles: [{_, error} | _]} -> raise error
-      _ -> %__MODULE__{importer: importer, context: context, stamp: stamp}
-    end
-  end
+  @doc "Returns whether a name refers to exactly one stream of the session."
+  @spec has_stream?(t(), String.t()) :: boolean()
+  def has_stream?(%__MODULE__{session: session}, name),
+    do: session |> OpenSession.open() |> OpenSession.has_stream?(name)
 end

@@ -4,7 +4,7 @@ defmodule Situ.Experiment.ReportTable do
   alias Situ.Experiment.Summary
 
   @doc """
-  Formats a value with four significant digits.
+  Formats a value with three decimals; small ones have an exponent.
 
       iex> alias Situ.Experiment.ReportTable
       iex> {ReportTable.format_value(0.91237), ReportTable.format_value(12), ReportTable.format_value(nil)}
@@ -14,6 +14,8 @@ defmodule Situ.Experiment.ReportTable do
   def format_value(nil), do: "-"
   def format_value(n) when is_integer(n), do: to_string(n)
   def format_value(x) when abs(x) >= 1000, do: :erlang.float_to_binary(x, decimals: 0)
+  def format_value(x) when x == 0, do: "0"
+  def format_value(x) when abs(x) < 0.001, do: :erlang.float_to_binary(x, scientific: 1)
   def format_value(x), do: :erlang.float_to_binary(x * 1.0, decimals: 3)
 
   @doc "Formats a value with its 95 % interval: `0.912 [0.851, 0.954]`."

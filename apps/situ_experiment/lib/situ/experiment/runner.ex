@@ -269,6 +269,7 @@ defmodule Situ.Experiment.Runner do
     known = state.results
 
     waiting
+    |> Stream.transform(nil, &attach_session/2)
     |> Task.async_stream(&compute_result(&1, context, known[&1.key]),
       max_concurrency: state.plan.opts[:jobs],
       timeout: :infinity
@@ -279,6 +280,15 @@ defmodule Situ.Experiment.Runner do
                                                                              state ->
       put_result(state, trial, result)
     end)
+  end
+
+  # The recordings of a session are opened once for all its sets.
+  defp attach_session(trial, {session, _} = opened) when session == trial.session,
+    do: {[%{trial | opened: elem(opened, 1)}], opened}
+
+  defp attach_session(trial, _before) do
+    opened = Trial.open_session(trial.session)
+    {[%{trial | opened: opened}], {trial.session, opened}}
   end
 
   # A result is on disk before the task ends.

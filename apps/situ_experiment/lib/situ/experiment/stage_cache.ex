@@ -24,7 +24,7 @@ defmodule Situ.Experiment.StageCache do
 
     {:ok, manifest, path} = read_manifest(folder)
     if context.owner, do: send(context.owner, {:stage_used, self(), folder, manifest["busy_s"]})
-    importer = Store.importer(input.importer.pipeline, path)
+    importer = Store.importer(input.pipeline, path)
     exported = for name <- manifest["streams"], do: {String.to_existing_atom(name), name}
     Map.new(exported, fn {key, name} -> {key, Store.stream(importer, name)} end)
   end
@@ -64,13 +64,13 @@ defmodule Situ.Experiment.StageCache do
 
   defp compute_stage(input, {module, function}, options, folder) do
     context = input.context
-    session = input.importer.session.session
     path = Path.join(folder, @store)
     draft = StoreVersion.draft_path(path)
 
     build = fn p ->
-      inner = Input.open(p, session, context, input.stamp)
-      streams = check_streams(apply(module, function, [inner, options]), function)
+      streams =
+        check_streams(apply(module, function, [%{input | pipeline: p}, options]), function)
+
       exporter = Store.create(p, @store, draft, versioned: false)
       for {name, stream} <- streams, do: Store.write(stream, exporter, to_string(name))
       for {name, _} <- streams, do: to_string(name)

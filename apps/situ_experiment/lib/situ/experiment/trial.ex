@@ -7,14 +7,15 @@ defmodule Situ.Experiment.Trial do
   alias Situ.{Error, Pipeline, Store}
 
   @enforce_keys [:session, :set, :stamp, :key, :metrics_key]
-  defstruct [:session, :set, :stamp, :key, :metrics_key]
+  defstruct [:session, :set, :stamp, :key, :metrics_key, :opened]
 
   @type t :: %__MODULE__{
           session: Session.t(),
           set: Parameters.t(),
           stamp: String.t(),
           key: String.t(),
-          metrics_key: String.t()
+          metrics_key: String.t(),
+          opened: {OpenSession.t(), {Situ.Time.t(), Situ.Time.t()}} | nil
         }
 
   @doc "Builds the trial of a session and a set. Its key identifies the code, the parameters and the recordings."
@@ -66,7 +67,7 @@ defmodule Situ.Experiment.Trial do
     context = %{context | owner: self()}
 
     build = fn p ->
-      input = Input.open(p, trial.session, context, trial.stamp)
+      input = %Input{pipeline: p, session: trial.session, context: context, stamp: trial.stamp}
       streams = check_streams(context.module.build(p, input, trial.set.values))
       exporter = Store.create(p, trial.key, draft, versioned: false)
       for {name, stream} <- streams, do: Store.write(stream, exporter, name)
@@ -110,12 +111,12 @@ defmodule Situ.Experiment.Trial do
   # Metrics may be functions of the user, so their exceptions are results, too.
   defp measure_output(trial, context, path, busy_s) do
     with {:ok, output} <- Store.open(path) do
-      open = OpenSession.open(trial.session)
+      {open, span} = trial.opened || open_session(trial.session)
 
       measured = %{
         session: open,
         output: output,
-        span: session_span(open),
+        span: span,
         parameters: trial.set.values,
         busy_s: busy_s
       }
@@ -139,10 +140,16 @@ defmodule Situ.Experiment.Trial do
        )}
   end
 
-  defp session_span(open) do
+  @doc """
+  Opens the recordings of a session for the metrics, and finds the times of its first and last message. Trials of the
+  same session share the result.
+  """
+  @spec open_session(Session.t()) :: {OpenSession.t(), {Situ.Time.t(), Situ.Time.t()}}
+  def open_session(%Session{} = session) do
+    open = OpenSession.open(session)
     spans = for {_, store} <- open.stores, span = Store.interval(store), do: span
     {from, to} = Enum.unzip(spans)
-    {Enum.min(from, fn -> 0 end), Enum.max(to, fn -> 0 end)}
+    {open, {Enum.min(from, fn -> 0 end), Enum.max(to, fn -> 0 end)}}
   end
 
   defp describe(trial, context, outcome) do

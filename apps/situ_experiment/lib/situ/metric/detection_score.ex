@@ -89,7 +89,8 @@ defmodule Situ.Metric.DetectionScore do
         {{recall, max(best, precision)}, max(best, precision)}
       end)
 
-    levels = for level <- 0..100, do: level / 100
+    # COCO's levels are multiples of the number 0.01, which differ from hundredths in the last digit.
+    levels = for level <- 0..100, do: min(level * 0.01, 1.0)
     Enum.sum(sample_precision(levels, Enum.reverse(points))) / 101
   end
 

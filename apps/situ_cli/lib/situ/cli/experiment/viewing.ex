@@ -126,7 +126,13 @@ defmodule Situ.CLI.Experiment.Viewing do
   defp print_text(rows, run, opts) do
     [first | rest] = ReportTable.describe_run(rows, run)
     Output.puts(first)
-    rows |> ReportTable.table_rows(run) |> Output.print_table(3)
+    top = max(opts[:top] || length(rows), 1)
+    rows |> Enum.take(top) |> ReportTable.table_rows(run) |> Output.print_table(3)
+    hidden = length(rows) - top
+
+    if hidden > 0,
+      do: Output.puts("  and #{Output.format_count(hidden, "set")} more: --top #{length(rows)}")
+
     for line <- rest, do: Output.puts(line)
     if opts[:sessions], do: print_sessions(rows, run, opts[:set])
     :ok

@@ -1,0 +1,115 @@
+defmodule Situ.Examples.Demo.ExperimentCommand do
+  @usage """
+  Usage: bin/demo --experiment [--out FOLDER] [--jobs N] [--json]
+
+  Tunes the detection of speakers: makes 15 sessions out of the three clips included with Situ (as they are, mirrored,
+  with noise, with a voice from outside the image, and with the sound of another clip), runs 54 sets of parameters over
+  all of them, and compares the best set with the default parameters.
+
+    --out FOLDER     folder for the dataset and the results (default: "experiment"); a second run reuses them
+    --jobs N         number of results to compute in parallel (default: 2)
+    --json           print one JSON object and nothing else
+
+  Exit status: 0 success, 1 failure, 2 wrong usage.
+  """
+  @moduledoc """
+  The `bin/demo --experiment` command: runs `Situ.Examples.WhoSpeaksExperiment` over variants of the demo's clips.
+
+  ```text
+  #{@usage}
+  ```
+  """
+  alias Situ.Error
+  alias Situ.Examples.{ClipVariants, WhoSpeaksExperiment}
+  alias Situ.Experiment.{RunRecord, Summary}
+
+  @switches [experiment: :boolean, out: :string, jobs: :integer, json: :boolean, help: :boolean]
+
+  @doc "Runs the demo and returns the exit status."
+  @spec run([String.t()]) :: 0..255
+  def run(argv) do
+    case OptionParser.parse(argv, strict: @switches) do
+      {opts, [], []} ->
+        if opts[:help], do: print_usage(), else: run_experiment(opts)
+
+      {_, [word | _], _} ->
+        print_failure(
+          "unexpected argument #{inspect(word)}\n  Fix: see bin/demo --experiment --help",
+          2
+        )
+
+      {_, _, [{switch, _} | _]} ->
+        print_failure(
+          "unknown or incomplete option #{switch}\n  Fix: see bin/demo --experiment --help",
+          2
+        )
+    end
+  rescue
+    error in Error -> print_failure(Exception.message(error), 1)
+  end
+
+  defp print_usage do
+    IO.puts(@usage)
+    0
+  end
+
+  defp run_experiment(opts) do
+    for app <- [:situ_examples, :situ_dataset], do: {:ok, _} = Application.ensure_all_started(app)
+    folder = opts[:out] || "experiment"
+
+    case ClipVariants.create_dataset(list_clips(), folder) do
+      {:ok, dataset} -> tune_parameters(dataset, opts)
+      {:error, error} -> print_failure(Exception.message(error), 1)
+    end
+  end
+
+  defp list_clips do
+    folder = Application.app_dir(:situ_examples, "priv/demo")
+
+    for clip <- ~w(talk1 talk2 talk3),
+        do: {Path.join(folder, clip <> ".mp4"), Path.join(folder, clip <> ".truth.json")}
+  end
+
+  defp tune_parameters(dataset, opts) do
+    unless opts[:json], do: IO.puts("#{length(dataset.sessions)} sessions: #{dataset.file}")
+
+    argv = [
+      "experiment",
+      "run",
+      inspect(WhoSpeaksExperiment),
+      dataset.file,
+      "--jobs",
+      "#{opts[:jobs] || 2}"
+    ]
+
+    argv = argv ++ ["--top", "8"] ++ if(opts[:json], do: ["--json"], else: [])
+
+    case Situ.CLI.run(argv) do
+      0 -> unless(opts[:json], do: compare_with_default(dataset)) || 0
+      status -> status
+    end
+  end
+
+  # The defaults of `Situ.Infer.who_speaks/3` are one of the sets.
+  defp compare_with_default(dataset) do
+    {:ok, experiments} = RunRecord.experiments_folder(dataset)
+    {:ok, {folder, run}} = RunRecord.fetch_run(experiments, nil)
+    [best | _] = rows = Summary.list_rows(folder, run)
+    default = Enum.find(rows, &(&1.parameters == WhoSpeaksExperiment.default_parameters()))
+
+    IO.puts(
+      "\nThe default parameters (set #{default.number}: #{default.label}) and the best set:"
+    )
+
+    status =
+      Situ.CLI.run(["experiment", "compare", dataset.file, "#{default.number}", "#{best.number}"])
+
+    IO.puts("\nNext: bin/situ experiment show #{dataset.file} --html report.html")
+    status
+  end
+
+  defp print_failure(text, status) do
+    IO.puts(:stderr, "bin/demo: " <> text)
+    status
+  end
+end
