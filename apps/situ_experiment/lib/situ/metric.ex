@@ -136,7 +136,8 @@ defmodule Situ.Metric do
   def intervals(opts), do: build_metric(:intervals, IntervalScore, "f1", opts, @intervals)
 
   @doc """
-  Compares labels: Cohen's `kappa`, `accuracy` and the mean F1 over the labels (`macro_f1`), over frames of equal length.
+  Compares labels over frames of equal length: Cohen's `kappa`, `accuracy`, and the mean F1 over the labels
+  (`macro_f1`).
 
   #{Options.docs(@classes)}
   """

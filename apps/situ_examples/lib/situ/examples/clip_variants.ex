@@ -9,7 +9,7 @@ defmodule Situ.Examples.ClipVariants do
   alias Situ.Examples.Demo.GroundTruth
 
   @conditions [:plain, :mirrored, :noisy, :voices, :dubbed]
-  @truth "Speaking.Truth"
+  @delay_s 1.5
 
   @type clip :: {video :: Path.t(), truth :: Path.t()}
 
@@ -23,7 +23,7 @@ defmodule Situ.Examples.ClipVariants do
     variants =
       for {clip, index} <- Enum.with_index(clips), condition <- @conditions do
         other = Enum.at(clips, rem(index + 1, length(clips)))
-        {clip, elem(other, 0), condition}
+        {clip, other, condition}
       end
 
     with {:ok, dataset} <- Dataset.new("Who speaks", file: Path.join(folder, "study.json")),
@@ -31,15 +31,17 @@ defmodule Situ.Examples.ClipVariants do
          do: Dataset.save_as(%{dataset | sessions: sessions}, dataset.file)
   end
 
-  defp create_session({{video, truth_file}, other, condition}, folder) do
+  defp create_session({{video, truth_file}, {other, other_truth}, condition}, folder) do
     name = "#{Path.basename(video, ".mp4")}-#{condition}"
     path = Path.join([folder, name, "clip.mp4"])
 
     with {:ok, truth} <- GroundTruth.read(truth_file),
+         {:ok, other_truth} <- GroundTruth.read(other_truth),
          :ok <- make_clip(video, other, condition, path),
          {:ok, size} <- image_size(truth_file),
+         voices = audible_speech(truth, other_truth, condition),
          truth = adapt_truth(truth, condition, size),
-         {:ok, store} <- write_truth(truth, path) do
+         {:ok, store} <- write_truth(truth, voices, path) do
       session =
         Session.new(name, tags: [to_string(condition)], metadata: %{"faces" => face_boxes(truth)})
 
@@ -92,7 +94,9 @@ defmodule Situ.Examples.ClipVariants do
     do: mix_audio("anoisesrc=color=pink:amplitude=0.05:seed=1:r=16000[n];[0:a][n]")
 
   defp filter_arguments(:voices, other),
-    do: ["-i", other] ++ mix_audio("[1:a]volume=0.2,adelay=1500:all=1[n];[0:a][n]")
+    do:
+      ["-i", other] ++
+        mix_audio("[1:a]volume=0.2,adelay=#{round(@delay_s * 1000)}:all=1[n];[0:a][n]")
 
   defp filter_arguments(:dubbed, other) do
     sound = "[1:a]apad[a]"
@@ -127,35 +131,61 @@ defmodule Situ.Examples.ClipVariants do
   defp adapt_truth(truth, :dubbed, _size), do: %{truth | speech: []}
   defp adapt_truth(truth, _condition, _size), do: truth
 
+  # When anybody is heard, also outside the image.
+  defp audible_speech(truth, other, condition) do
+    own = if condition == :dubbed, do: [], else: speech_times(truth, 0)
+
+    added =
+      case condition do
+        :dubbed -> speech_times(other, 0)
+        :voices -> speech_times(other, @delay_s)
+        _ -> []
+      end
+
+    duration = truth.frames / truth.fps
+    for {from, to} <- join_times(own ++ added), from < duration, do: {from, min(to, duration)}
+  end
+
+  defp speech_times(truth, delay),
+    do: for({_, from, to} <- truth.speech, do: {from + delay, to + delay})
+
+  # Overlapping voices are one interval.
+  defp join_times(times) do
+    times
+    |> Enum.sort()
+    |> Enum.reduce([], fn
+      {from, to}, [{first, last} | rest] when from <= last -> [{first, max(last, to)} | rest]
+      time, joined -> [time | joined]
+    end)
+    |> Enum.reverse()
+  end
+
   defp face_boxes(truth) do
     for {id, rect} <- truth.faces,
         do: %{"id" => id, "box" => [rect.x, rect.y, rect.width, rect.height]}
   end
 
-  defp write_truth(truth, clip) do
+  defp write_truth(truth, voices, clip) do
     path = Path.join(Path.dirname(clip), "truth")
+    schema = Schema.finite("Speech", ["speaks"])
+    faces = for {face, from, to} <- truth.speech, face != nil, do: {to_string(face), from, to}
+    voices = for {from, to} <- voices, do: {"voice", from, to}
 
     with {:ok, store} <- Store.open(clip),
          {start, _} = Store.interval(store),
-         {:ok, layer} <-
-           Layer.new(Schema.finite("Speech", ["speaks"]), speech_annotations(truth, start)) do
+         {:ok, speaking} <- Layer.new(schema, build_annotations(faces, start)),
+         {:ok, heard} <- Layer.new(schema, build_annotations(voices, start)) do
       case Store.newest("truth", Path.dirname(clip)) do
-        nil -> Recording.write(layer, path, @truth)
+        nil -> Recording.write_all(%{"Speaking.Truth" => speaking, "Voice.Truth" => heard}, path)
         existing -> {:ok, existing}
       end
     end
   end
 
-  defp speech_annotations(truth, start) do
-    for {face, from, to} <- truth.speech, face != nil do
-      Annotation.new(
-        start + Situ.Time.s(from / 1),
-        start + Situ.Time.s(to / 1),
-        to_string(face),
-        %{
-          "Speech" => "speaks"
-        }
-      )
+  defp build_annotations(intervals, start) do
+    for {track, from, to} <- intervals do
+      {from, to} = {start + Situ.Time.s(from / 1), start + Situ.Time.s(to / 1)}
+      Annotation.new(from, to, track, %{"Speech" => "speaks"})
     end
   end
 end

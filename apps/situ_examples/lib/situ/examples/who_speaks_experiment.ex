@@ -14,10 +14,9 @@ defmodule Situ.Examples.WhoSpeaksExperiment do
   @impl true
   def parameters do
     [
-      agreement: [0.5, 0.6, 0.7],
-      window: {:time_ns, [Time.ms(600), Time.ms(800), Time.ms(1_200)]},
-      doubt: [0.25, 0.4, 0.5],
-      on: [0.5, 0.7]
+      hold: {:time_ns, [Time.ms(80), Time.ms(120), Time.ms(200)]},
+      still: {:time_ns, [Time.ms(200), Time.ms(300), Time.ms(400)]},
+      lookahead: {:time_ns, [Time.ms(80), Time.ms(160), Time.ms(320)]}
     ]
   end
 
@@ -63,7 +62,7 @@ defmodule Situ.Examples.WhoSpeaksExperiment do
 
   defp face_rect(%{"box" => [x, y, width, height]}), do: Rect.new!(x, y, width, height)
 
-  # Several detected faces may overlap one true face; it speaks if one of them does.
+  # Several detected faces may overlap one true face; it speaks if any detected face does.
   defp name_faces(speaking, mouths, faces) do
     for {id, speaks?} <- speaking, reduce: %{} do
       named -> Map.update(named, face_name(mouths[id], faces), speaks?, &(&1 or speaks?))

@@ -136,23 +136,25 @@ defmodule Situ.Experiment.Baseline do
   defp compare_value(_expected, now) when not is_number(now), do: :worse
 
   defp compare_value(expected, now) do
-    if lost(expected, expected["value"], now) > expected["tolerance"], do: :worse, else: :ok
+    if measure_loss(expected, expected["value"], now) > expected["tolerance"],
+      do: :worse,
+      else: :ok
   end
 
-  defp lost(%{"better" => "lower"}, before, now), do: now - before
-  defp lost(_expected, before, now), do: before - now
+  defp measure_loss(%{"better" => "lower"}, before, now), do: now - before
+  defp measure_loss(_expected, before, now), do: before - now
 
   defp worse_sessions(name, expected, row, results) do
     for {session, now} <- row.sessions,
         before = expected["sessions"][session],
-        is_number(before) and is_number(now) and lost(expected, before, now) > 0 do
+        is_number(before) and is_number(now) and measure_loss(expected, before, now) > 0 do
       {session, before, now,
        new_moments(expected["moments"][session] || [], results[session], name)}
     end
     |> Enum.sort_by(fn {_, before, now, _} -> -abs(before - now) end)
   end
 
-  # A moment is new if it does not overlap with one of the same kind and track in the baseline.
+  # A moment is new if the baseline has no moment of the same kind and track that overlaps with it.
   defp new_moments(before, result, name) do
     origin = result["from"] || 0
 

@@ -1,7 +1,7 @@
 defmodule Situ.Experiment.ResultsFile do
   @moduledoc false
   # The results of an experiment: one line of JSON for each finished session and set of parameters. A line is on disk
-  # before the next result begins, so a killed run loses only what it was computing. If several lines have the same key,
+  # before the next result begins, so a killed run loses only the results that it was computing. If several lines have the same key,
   # the last one counts.
   # See docs/adr/0172-results-are-lines-of-json-next-to-the-dataset.md.
   alias Situ.{Error, JSON}
@@ -33,7 +33,7 @@ defmodule Situ.Experiment.ResultsFile do
   def append_result(folder, result) do
     path = file_path(folder)
 
-    # The leading line feed separates the line from one that a crash truncated.
+    # The leading line feed separates the line from a line that a crash truncated.
     with {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
          :ok <- :file.write(device, ["\n", JSON.encode(result), "\n"]),
          :ok <- :file.datasync(device) do

@@ -33,7 +33,7 @@ defmodule Situ.Metric.Assignment do
 
   defp cost_at(rows, row, column), do: rows |> Enum.at(row) |> Enum.at(column)
 
-  # Rows and columns count from 1; column 0 stands for "not paired yet".
+  # Rows and columns count from 1; column 0 means "not paired yet".
   defp solve_wide(rows) do
     forbidden = forbidden_cost(rows)
     costs = for row <- rows, do: List.to_tuple([0 | Enum.map(row, &finite_cost(&1, forbidden))])

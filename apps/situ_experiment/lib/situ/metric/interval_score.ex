@@ -27,7 +27,8 @@ defmodule Situ.Metric.IntervalScore do
   @doc """
   Returns counts and sums of one session, which can be added up over sessions.
 
-      iex> counts = Situ.Metric.IntervalScore.count_matches(%{"a" => [{0, 10}, {20, 30}]}, %{"a" => [{1, 10}]}, tolerance: 2)
+      iex> {truth, output} = {%{"a" => [{0, 10}, {20, 30}]}, %{"a" => [{1, 10}]}}
+      iex> counts = Situ.Metric.IntervalScore.count_matches(truth, output, tolerance: 2)
       iex> {counts["truth"], counts["output"], counts["matched"], counts["onset_error_ns"], counts["overlap_ns"]}
       {2, 1, 1, 1, 9}
   """

@@ -1,6 +1,6 @@
 defmodule Situ.Metric.MeanScore do
   @moduledoc false
-  # Values that are computed per session, such as those of functions: the value of several sessions is their mean.
+  # Values that are computed per session, such as the results of functions. The value of several sessions is the mean.
   # Each value is stored with the number of sessions that have one.
   @behaviour Situ.Metric.Measure
 

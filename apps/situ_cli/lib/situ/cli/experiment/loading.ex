@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Experiment.Loading do
   @moduledoc false
-  # Finds what the verbs of `situ experiment` name: the experiment, the dataset, the run.
+  # Finds the experiment, the dataset and the run that the verbs of `situ experiment` name.
   alias Situ.{Dataset, Error, Expression}
   alias Situ.Experiment.RunRecord
 

@@ -130,9 +130,7 @@ defmodule Situ.CLI.Experiment.Viewing do
     rows |> Enum.take(top) |> ReportTable.table_rows(run) |> Output.print_table(3)
     hidden = length(rows) - top
 
-    if hidden > 0,
-      do: Output.puts("  and #{Output.format_count(hidden, "set")} more: --top #{length(rows)}")
-
+    if hidden > 0, do: Output.puts("  and #{hidden} more: --top #{length(rows)}")
     for line <- rest, do: Output.puts(line)
     if opts[:sessions], do: print_sessions(rows, run, opts[:set])
     :ok

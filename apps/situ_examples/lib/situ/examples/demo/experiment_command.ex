@@ -3,7 +3,7 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
   Usage: bin/demo --experiment [--out FOLDER] [--jobs N] [--json]
 
   Tunes the detection of speakers: makes 15 sessions out of the three clips included with Situ (as they are, mirrored,
-  with noise, with a voice from outside the image, and with the sound of another clip), runs 54 sets of parameters over
+  with noise, with a voice from outside the image, and with the sound of another clip), runs 27 sets of parameters over
   all of them, and compares the best set with the default parameters.
 
     --out FOLDER     folder for the dataset and the results (default: "experiment"); a second run reuses them
@@ -90,7 +90,7 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
     end
   end
 
-  # The defaults of `Situ.Infer.who_speaks/3` are one of the sets.
+  # One set contains the defaults of `Situ.Infer.who_speaks/3`.
   defp compare_with_default(dataset) do
     {:ok, experiments} = RunRecord.experiments_folder(dataset)
     {:ok, {folder, run}} = RunRecord.fetch_run(experiments, nil)
