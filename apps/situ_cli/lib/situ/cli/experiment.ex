@@ -65,7 +65,10 @@ defmodule Situ.CLI.Experiment do
           Option.new(:sessions, :flag, "also show every session of the best set"),
           Option.new(:set, :integer, "the set of --sessions (default: the best)"),
           Option.new(:markdown, :flag, "print the tables in Markdown"),
-          Option.new(:html, :path, "write a report as a page of HTML", value: "FILE")
+          Option.new(:html, :path, "write a report as a page of HTML", value: "FILE"),
+          Option.new(:mlflow, :path, "write the sets to a folder in MLflow's file format",
+            value: "FOLDER"
+          )
         ],
         examples: [
           "situ experiment show study.json",

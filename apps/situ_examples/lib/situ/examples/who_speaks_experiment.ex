@@ -16,7 +16,7 @@ defmodule Situ.Examples.WhoSpeaksExperiment do
     [
       hold: {:time_ns, [Time.ms(80), Time.ms(120), Time.ms(200)]},
       still: {:time_ns, [Time.ms(200), Time.ms(300), Time.ms(400)]},
-      lookahead: {:time_ns, [Time.ms(80), Time.ms(160), Time.ms(320)]}
+      lookahead: {:time_ns, [Time.ms(80), Time.ms(160)]}
     ]
   end
 

@@ -1,8 +1,8 @@
 defmodule Situ.Experiment.ResultsFile do
   @moduledoc false
   # The results of an experiment: one line of JSON for each finished session and set of parameters. A line is on disk
-  # before the next result begins, so a killed run loses only the results that it was computing. If several lines have the same key,
-  # the last one counts.
+  # before the next result begins, so a killed run loses only the results that it was computing. If several lines have
+  # the same key, the last one counts.
   # See docs/adr/0172-results-are-lines-of-json-next-to-the-dataset.md.
   alias Situ.{Error, JSON}
   alias Situ.Store.AtomicFile

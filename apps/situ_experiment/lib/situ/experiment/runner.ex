@@ -57,7 +57,7 @@ defmodule Situ.Experiment.Runner do
          {:ok, sessions} <- choose_sessions(module, dataset, opts) do
       folder = Path.join(experiments, experiment_name(module))
       plan = %{module: module, folder: folder, sets: sets, sessions: sessions, opts: opts}
-      Task.await(Task.async(fn -> run_plan(plan) end), :infinity)
+      Task.await(Task.async(fn -> try_plan(plan) end), :infinity)
     end
   end
 
@@ -110,6 +110,13 @@ defmodule Situ.Experiment.Runner do
       sessions ->
         {:ok, sessions}
     end
+  end
+
+  # A full disk ends the run; the results so far remain.
+  defp try_plan(plan) do
+    run_plan(plan)
+  rescue
+    error in Error -> {:error, error}
   end
 
   defp run_plan(plan) do
@@ -275,12 +282,11 @@ defmodule Situ.Experiment.Runner do
       timeout: :infinity
     )
     |> Stream.zip(waiting)
-    |> Enum.reduce(%{state | began: System.monotonic_time(:millisecond)}, fn {{:ok, result},
-                                                                              trial},
-                                                                             state ->
-      put_result(state, trial, result)
-    end)
+    |> Enum.reduce(%{state | began: System.monotonic_time(:millisecond)}, &put_outcome/2)
   end
+
+  defp put_outcome({{:ok, outcome}, trial}, state),
+    do: put_result(state, trial, Error.unwrap!(outcome))
 
   # The recordings of a session are opened once for all its sets.
   defp attach_session(trial, {session, _} = opened) when session == trial.session,
@@ -298,8 +304,7 @@ defmodule Situ.Experiment.Runner do
         do: Trial.measure_again(trial, context, known),
         else: Trial.run_trial(trial, context)
 
-    Error.unwrap!(ResultsFile.append_result(context.folder, result))
-    result
+    with :ok <- ResultsFile.append_result(context.folder, result), do: {:ok, result}
   end
 
   defp put_result(state, trial, result) do

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Experiment.Viewing do
   alias Situ.CLI.Experiment.Loading
   alias Situ.CLI.Output
   alias Situ.Error
-  alias Situ.Experiment.{ReportPage, ReportTable, RunRecord, Summary}
+  alias Situ.Experiment.{MlflowExport, ReportPage, ReportTable, RunRecord, Summary}
 
   @doc "Lists the runs of all experiments over a dataset."
   @spec list_runs(map(), keyword()) :: 0
@@ -65,6 +65,7 @@ defmodule Situ.CLI.Experiment.Viewing do
     run = Map.put(run, "status", RunRecord.status(run))
     rows = Summary.list_rows(folder, run)
     if opts[:html], do: write_report(opts[:html], ReportPage.render_page(rows, run))
+    if opts[:mlflow], do: Error.unwrap!(MlflowExport.write_folder(opts[:mlflow], rows, run))
 
     cond do
       opts[:json] -> Output.print_json(run_json(rows, run))

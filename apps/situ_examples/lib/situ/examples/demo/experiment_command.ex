@@ -3,7 +3,7 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
   Usage: bin/demo --experiment [--out FOLDER] [--jobs N] [--json]
 
   Tunes the detection of speakers: makes 15 sessions out of the three clips included with Situ (as they are, mirrored,
-  with noise, with a voice from outside the image, and with the sound of another clip), runs 27 sets of parameters over
+  with noise, with a voice from outside the image, and with the sound of another clip), runs 18 sets of parameters over
   all of them, and compares the best set with the default parameters.
 
     --out FOLDER     folder for the dataset and the results (default: "experiment"); a second run reuses them
