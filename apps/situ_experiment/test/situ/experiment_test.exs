@@ -117,6 +117,56 @@ defmodule Situ.ExperimentTest do
     assert {_, %{"computed" => 6}} = run(Tune, dataset)
   end
 
+  describe "after a change of the code" do
+    @source """
+    defmodule Situ.ExperimentTest.Changing do
+      use Situ.Experiment
+      @impl true
+      def parameters, do: [threshold: [0.3, 0.4]]
+      @impl true
+      def build(_p, session, %{threshold: threshold}) do
+        level = Situ.Experiment.stream(session, "Level")
+        %{"Speaking" => Situ.map(level, &(&1 > threshold), type: :boolean)}
+      end
+      @impl true
+      def metrics, do: [speaking: Situ.Metric.intervals(truth: "Speaking.Truth")]
+    end
+    """
+
+    setup %{tmp_dir: root} do
+      before = Code.compiler_options()[:ignore_module_conflict]
+      Code.compiler_options(ignore_module_conflict: true)
+      on_exit(fn -> Code.compiler_options(ignore_module_conflict: before) end)
+      %{dataset: LevelStudy.create_dataset(root, 2)}
+    end
+
+    defp run_source(source, dataset) do
+      [{module, _}] = binaries = Code.compile_string(source)
+      {folder, run} = run(module, dataset, binaries: Map.new(binaries))
+
+      {run["computed"], folder |> Path.join("outputs") |> File.ls!() |> length(),
+       Summary.list_rows(folder, run)}
+    end
+
+    test "only results that the change affects are computed again", %{dataset: dataset} do
+      assert {4, 4, [_, _]} = run_source(@source, dataset)
+      assert {0, 4, _} = run_source(@source, dataset)
+
+      # A new value runs its own set only.
+      assert {2, 6, [_, _, _]} =
+               run_source(String.replace(@source, "[0.3, 0.4]", "[0.3, 0.4, 0.5]"), dataset)
+
+      # A new metric measures the recorded streams again.
+      other = String.replace(@source, "Metric.intervals", "Metric.classes")
+      assert {4, 6, [best | _]} = run_source(other, dataset)
+      assert best.metrics["speaking"].values["kappa"] > 0.5
+
+      # Other code in build/3 runs everything.
+      assert {4, 10, _} =
+               run_source(String.replace(@source, "&1 > threshold", "&1 >= threshold"), dataset)
+    end
+  end
+
   test "only sessions that fit take part", %{tmp_dir: root} do
     dataset = LevelStudy.create_dataset(root, 3)
     {_, run} = run(Tune, dataset, sessions: &("noisy" in &1.tags))

@@ -196,7 +196,7 @@ defmodule Situ.Experiment.CodeVersion do
   defp own_file?(code, atom) do
     case find_beam(code, atom) do
       {:ok, path} -> not (path |> Path.dirname() |> Path.dirname() |> platform_folder?())
-      :error -> false
+      :error -> :code.is_loaded(atom) != false
     end
   end
 
@@ -222,15 +222,22 @@ defmodule Situ.Experiment.CodeVersion do
     end
   end
 
+  # A module that another program compiled in memory has no file, but its loaded code has a hash.
   defp module_hash(code, module) do
     remember(code, {:hash, module}, fn ->
       with {:ok, beam} <- find_beam(code, module),
            {:ok, {_, md5}} <- :beam_lib.md5(to_beam(beam)) do
         Base.encode16(md5, case: :lower)
       else
-        _ -> "unknown"
+        _ -> loaded_hash(module)
       end
     end)
+  end
+
+  defp loaded_hash(module) do
+    if Code.ensure_loaded?(module),
+      do: Base.encode16(module.module_info(:md5), case: :lower),
+      else: "unknown"
   end
 
   defp module_atoms(code, module) do

@@ -8,9 +8,9 @@ defmodule Situ.Experiment.ReportPage do
   @line 22
 
   @style """
-  body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 70em; }
+  body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 85em; }
   tr { border-bottom: 1px solid #d8dde6; } body { padding: 0 1em; color: #1c2330; }
-  table { border-collapse: collapse; } th, td { padding: .25em .8em; text-align: left; }
+  table { border-collapse: collapse; } th, td { padding: .25em .8em; text-align: left; white-space: nowrap; }
   td:nth-child(n+4) { font-variant-numeric: tabular-nums; } tr.best { background: #e7f3ea; font-weight: 600; }
   svg text { font: 12px system-ui, sans-serif; fill: #1c2330; }
   pre { background: #f4f6f9; padding: 1em; overflow: auto; }
