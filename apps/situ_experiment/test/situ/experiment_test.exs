@@ -277,13 +277,30 @@ defmodule Situ.ExperimentTest do
     assert_in_delta Metric.summarize(metrics[:delay], [counts])["p95_s"], 1.0e-6, 1.0e-12
   end
 
+  defmodule NoMetrics do
+    @moduledoc false
+    use Situ.Experiment
+    @impl true
+    def parameters, do: [a: [1]]
+    @impl true
+    def build(_p, _session, _parameters), do: %{}
+    @impl true
+    def metrics, do: []
+  end
+
   test "datasets without a file and wrong parameters are errors", %{tmp_dir: root} do
     {:ok, dataset} = Dataset.new("No file")
     assert {:error, %{code: :no_file}} = Runner.run(Tune, dataset)
+
+    assert {:error, %{code: :bad_metrics}} =
+             Runner.run(NoMetrics, LevelStudy.create_dataset(root, 1))
+
     assert {:error, %{code: :bad_parameters}} = Experiment.Parameters.list_sets(threshold: 0.4)
 
     assert {:error, %{code: :no_set}} =
-             Runner.run(Tune, LevelStudy.create_dataset(root, 1), only: %{"x" => 1})
+             Runner.run(Tune, LevelStudy.create_dataset(Path.join(root, "other"), 1),
+               only: %{"x" => 1}
+             )
   end
 
   test "results are recordings of the streams of build/3", %{tmp_dir: root} do

@@ -6,7 +6,7 @@ defmodule Situ.Experiment.InputStamp do
   alias Situ.Dataset.{Checksum, Partition, Session, StoredPath}
   alias Situ.Experiment.CodeVersion
 
-  @most_bytes 256_000_000
+  @most_bytes 16_000_000
 
   @doc "Returns a stamp for each partition of a session."
   @spec partition_stamps(Session.t()) :: %{String.t() => String.t()}

@@ -13,7 +13,7 @@ defmodule Situ.Experiment.Runner do
     CodeVersion,
     Context,
     InputStamp,
-    Parameters,
+    Plan,
     Provenance,
     ResultsFile,
     RunRecord,
@@ -51,65 +51,8 @@ defmodule Situ.Experiment.Runner do
   @spec run(module(), Dataset.t(), keyword()) :: {:ok, {Path.t(), map()}} | {:error, Error.t()}
   def run(module, %Dataset{} = dataset, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, experiments} <- RunRecord.experiments_folder(dataset),
-         {:ok, sets} <- Parameters.list_sets(module.parameters()),
-         {:ok, sets} <- choose_sets(sets, opts),
-         {:ok, sessions} <- choose_sessions(module, dataset, opts) do
-      folder = Path.join(experiments, experiment_name(module))
-      plan = %{module: module, folder: folder, sets: sets, sessions: sessions, opts: opts}
-      Task.await(Task.async(fn -> try_plan(plan) end), :infinity)
-    end
-  end
-
-  @doc "Returns the name of an experiment: the last part of its module's name."
-  @spec experiment_name(module()) :: String.t()
-  def experiment_name(module), do: module |> Module.split() |> List.last()
-
-  defp choose_sets(sets, opts) do
-    cond do
-      opts[:only] ->
-        choose_only(sets, opts[:only])
-
-      opts[:method] == :random ->
-        {:ok,
-         sets
-         |> Search.shuffle(opts[:seed])
-         |> Enum.take(opts[:trials])
-         |> Enum.sort_by(& &1.number)}
-
-      true ->
-        {:ok, sets}
-    end
-  end
-
-  defp choose_only(sets, only) do
-    case Enum.find(sets, &(&1.json == only)) do
-      nil ->
-        {:error,
-         Error.new(:no_set, "the experiment has no set of parameters #{Situ.JSON.encode(only)}",
-           why: "parameters/0 does not list these values",
-           fix: "add the values to parameters/0"
-         )}
-
-      set ->
-        {:ok, [set]}
-    end
-  end
-
-  defp choose_sessions(module, dataset, opts) do
-    fits? = opts[:sessions] || fn _ -> true end
-
-    case Enum.filter(module.sessions(dataset), fits?) do
-      [] ->
-        {:error,
-         Error.new(:no_session, "no session takes part",
-           why: "the dataset has #{length(dataset.sessions)} sessions",
-           fix: "check sessions/1 of the experiment, and the conditions of the command"
-         )}
-
-      sessions ->
-        {:ok, sessions}
-    end
+         {:ok, plan} <- Plan.new(module, dataset, opts),
+         do: Task.await(Task.async(fn -> try_plan(plan) end), :infinity)
   end
 
   # A full disk ends the run; the results so far remain.
@@ -139,7 +82,6 @@ defmodule Situ.Experiment.Runner do
       done: 0,
       computed: 0,
       failed: 0,
-      left: 0,
       began: System.monotonic_time(:millisecond)
     }
 
@@ -169,7 +111,7 @@ defmodule Situ.Experiment.Runner do
 
     %{
       "run" => RunRecord.new_name(plan.folder, now),
-      "experiment" => experiment_name(plan.module),
+      "experiment" => plan.name,
       "module" => inspect(plan.module),
       "status" => "running",
       "pid" => System.pid(),
@@ -258,7 +200,7 @@ defmodule Situ.Experiment.Runner do
     Error.unwrap!(RunRecord.write_run(state.plan.folder, record_trials(state)))
     {kept, waiting} = Enum.split_with(trials, &finished?(state.results[&1.key], &1))
     state = Enum.reduce(kept, state, &keep_result/2)
-    compute_trials(%{state | left: length(waiting)}, waiting)
+    compute_trials(state, waiting)
   end
 
   defp finished?(%{"status" => "done", "metrics" => metrics}, trial),
@@ -282,7 +224,7 @@ defmodule Situ.Experiment.Runner do
       timeout: :infinity
     )
     |> Stream.zip(waiting)
-    |> Enum.reduce(%{state | began: System.monotonic_time(:millisecond)}, &put_outcome/2)
+    |> Enum.reduce(state, &put_outcome/2)
   end
 
   defp put_outcome({{:ok, outcome}, trial}, state),
@@ -315,8 +257,7 @@ defmodule Situ.Experiment.Runner do
       | results: Map.put(state.results, trial.key, result),
         done: state.done + 1,
         computed: state.computed + 1,
-        failed: state.failed + failed,
-        left: state.left - 1
+        failed: state.failed + failed
     }
     |> report_progress(result)
   end
@@ -350,8 +291,7 @@ defmodule Situ.Experiment.Runner do
 
   defp estimate_left(state) do
     spent = (System.monotonic_time(:millisecond) - state.began) / 1000
-    done = max(state.computed, 1)
-    spent / done * max(state.total - state.done, 0)
+    spent / state.computed * max(state.total - state.done, 0)
   end
 
   defp finish_run(state) do
