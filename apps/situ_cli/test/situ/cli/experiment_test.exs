@@ -78,7 +78,10 @@ defmodule Situ.CLI.ExperimentTest do
     baseline = Path.join(root, "baseline.json")
     {0, _} = run(["run", file, study])
     assert {0, _} = run(["promote", study, "-o", baseline])
-    assert {0, text} = run(["check", file, study, "--baseline", baseline])
+
+    assert {0, text} =
+             with_warnings(fn -> run(["check", file, study, "--baseline", baseline]) end)
+
     assert text =~ ~r/speaking.time_f1 +ok/
 
     File.write!(file, String.replace(File.read!(file), "&1 > threshold", "&1 > threshold + 0.25"))
