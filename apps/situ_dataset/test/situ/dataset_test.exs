@@ -142,6 +142,8 @@ defmodule Situ.DatasetTest do
     record(Path.join(root, "p1/more"), "room", %{"A" => ten(1)})
     File.write!(Path.join(root, "p1/imu.csv"), "time,x\n1.0,2.0\n2.0,3.0\n")
     File.write!(Path.join(root, "p1/package.json"), "{}")
+    # The results of an experiment are not sessions.
+    record(Path.join(root, "study.json.experiments/Tune/outputs"), "abc", %{"A" => ten(1)})
     File.mkdir_p!(Path.join(root, "empty"))
     File.ln_s!(root, Path.join(root, "p1/loop"))
     {:ok, dataset} = Dataset.open(root)

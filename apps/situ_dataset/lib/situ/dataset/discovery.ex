@@ -5,6 +5,9 @@ defmodule Situ.Dataset.Discovery do
   alias Situ.Dataset.{LayersPartition, NameRules, Partition, Session}
   alias Situ.{Error, Store}
 
+  # Unfinished recordings, and the results of experiments over a dataset (`Situ.Experiment`).
+  @excluded [".unfinished", ".experiments"]
+
   @type result :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
 
   @spec from_recording(Path.t()) :: result()
@@ -90,7 +93,8 @@ defmodule Situ.Dataset.Discovery do
     segmented = for path <- stores, name = Path.basename(path), name not in names, do: name
 
     for name <- Enum.sort(segmented ++ MapSet.to_list(names)),
-        not (String.starts_with?(name, ".") or String.ends_with?(name, ".unfinished")),
+        not String.starts_with?(name, "."),
+        not String.ends_with?(name, @excluded),
         path = Path.join(folder, name),
         path not in segments,
         kind = entry_kind(path, stores),
