@@ -195,6 +195,31 @@ defmodule Situ.ExperimentTest do
     end)
   end
 
+  defmodule OneStream do
+    @moduledoc false
+    use Situ.Experiment
+    @impl true
+    def parameters, do: [shape: [:stream, :list]]
+    @impl true
+    def build(_p, session, %{shape: :stream}), do: Experiment.stream(session, "Level")
+    def build(_p, session, %{shape: :list}), do: [Experiment.stream(session, "Level")]
+    @impl true
+    def metrics, do: [count: &Enum.count(Metric.messages(&1, "Level"))]
+  end
+
+  test "a stream without a name is an error that says how to return it", %{tmp_dir: root} do
+    dataset = LevelStudy.create_dataset(root, 1)
+
+    capture_log(fn ->
+      {folder, run} = run(OneStream, dataset)
+      assert run["failed"] == 2
+
+      for row <- Summary.list_rows(folder, run),
+          {"p1", error} <- row.failures,
+          do: assert(error =~ "return the streams by name")
+    end)
+  end
+
   test "successive halving drops sets, and random search takes some", %{tmp_dir: root} do
     dataset = LevelStudy.create_dataset(root, 4)
     {folder, run} = run(Tune, dataset, method: :halving)

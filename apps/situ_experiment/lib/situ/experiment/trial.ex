@@ -93,10 +93,16 @@ defmodule Situ.Experiment.Trial do
     end
   end
 
-  defp check_streams(streams) when is_map(streams) or is_list(streams) do
-    for {name, stream} <- streams do
-      if not is_struct(stream, Situ.Stream), do: raise(build_error({name, stream}))
-      {to_string(name), stream}
+  defp check_streams(streams)
+       when (is_map(streams) and not is_struct(streams)) or is_list(streams) do
+    for entry <- streams do
+      case entry do
+        {name, %Situ.Stream{} = stream} when is_atom(name) or is_binary(name) ->
+          {to_string(name), stream}
+
+        other ->
+          raise build_error(other)
+      end
     end
   end
 
