@@ -44,27 +44,33 @@ defmodule Situ.CLI.Experiment.Running do
           {:ok, {Path.t(), map()}} | :interrupted | {:error, Error.t()}
   def run_interruptibly(experiment, dataset, settings, opts) do
     terminal = Terminal.open(opts)
+    me = self()
 
+    # Only the process that has opened the terminal may write to it.
     settings =
       [
         file: experiment.file,
         binaries: experiment.binaries,
-        progress: &Terminal.replace_line(terminal, format_progress(&1))
+        progress: &send(me, {:progress, &1})
       ] ++ settings
 
     Interrupt.with_message(:interrupted, fn ->
       # A run that crashes must not end the command before it prints the error.
       before = Process.flag(:trap_exit, true)
       task = Task.async(fn -> Runner.run(experiment.module, dataset, settings) end)
-      result = await_run(task, dataset)
+      result = await_run(task, dataset, terminal)
       Process.flag(:trap_exit, before)
       Terminal.close(terminal)
       result
     end)
   end
 
-  defp await_run(%{ref: ref} = task, dataset) do
+  defp await_run(%{ref: ref} = task, dataset, terminal) do
     receive do
+      {:progress, progress} ->
+        Terminal.replace_line(terminal, format_progress(progress))
+        await_run(task, dataset, terminal)
+
       {^ref, result} ->
         Process.demonitor(ref, [:flush])
         result
