@@ -36,8 +36,8 @@ defmodule Situ.Metrics do
 
   ## Your own metrics
 
-  An application adds metrics with a module that implements `c:collect_metrics/0`. It lists the module in `application/0`
-  of its `mix.exs`: `env: [metrics: [MyApp.Metrics]]`.
+  An application adds metrics with a module that implements `c:collect_metrics/0`. It lists the module in
+  `application/0` of its `mix.exs`: `env: [metrics: [MyApp.Metrics]]`.
 
       defmodule MyApp.Metrics do
         @behaviour Situ.Metrics

@@ -42,7 +42,7 @@ defmodule Situ.Dataset do
   Paths are relative to the file and use forward slashes, so the file and its recordings can be moved together. Saving
   keeps unknown fields of the file. `priv/schema/dataset.schema.json` of this app describes all fields. Situ adds the
   field `edits`, which relates the file to its log. If a person has changed the file, the next program that opens it
-  adds the change to the log. Files of more than 64 KB may be some edits behind their log, until `write_file/1`.
+  adds the change to the log. Files of more than 64 KB may lack the last edits of their log until `write_file/1`.
   """
   # A dataset is a value and a JSON file, not a process or a database, because people edit it and
   # move it together with the recordings. Partitions are names and relative paths, and a recording
@@ -247,7 +247,7 @@ defmodule Situ.Dataset do
     end
   end
 
-  @doc "Writes the file if it is behind its log, which can only be the case for files of more than 64 KB."
+  @doc "Writes the file if it lacks edits of its log, which is only possible for files of more than 64 KB."
   @spec write_file(t()) :: result()
   def write_file(%__MODULE__{} = dataset), do: update(dataset, &{:ok, &1}, write: true)
 

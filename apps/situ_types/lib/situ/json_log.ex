@@ -4,9 +4,9 @@ defmodule Situ.JsonLog do
 
       config :logger, :console, format: {Situ.JsonLog, :format}, metadata: :all
 
-  The command line does so with `SITU_LOG_FORMAT=json`. Each object has `time` (ISO 8601, UTC), `level` and `message`, and
-  the metadata that JSON can represent, such as `pipeline` and `component`. Other values are written as Elixir prints
-  them; `mfa`, `pid` and other fields that only the logger needs are left out.
+  The command line does so with `SITU_LOG_FORMAT=json`. Each object has `time` (ISO 8601, UTC), `level` and `message`,
+  and the metadata that JSON can represent, such as `pipeline` and `component`. Other values are written as Elixir
+  prints them; `mfa`, `pid` and other fields that only the logger needs are left out.
 
       iex> metadata = [time: 1_700_000_000_123_456, pipeline: "Lobby"]
       iex> line = Situ.JsonLog.format(:error, "no camera", {{2023, 11, 14}, {22, 13, 20, 123}}, metadata)

@@ -10,8 +10,8 @@ defmodule Situ.Metrics.Server do
   | `/health` | `200` and `{"status":"ok"}`, or `503` and the pipelines that do not respond |
   | `/health?pipeline=Lobby` | the same, and `503` if this pipeline is not running |
 
-  Everybody who can reach the port can read the metrics, so by default the server listens on this machine only. It uses the web
-  server of Erlang/OTP (`inets`).
+  Everybody who can reach the port can read the metrics, so by default the server listens on this machine only. It uses
+  the web server of Erlang/OTP (`inets`).
   """
 
   @schema [

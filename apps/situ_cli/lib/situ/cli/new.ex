@@ -18,7 +18,8 @@ defmodule Situ.CLI.New do
         Creates a Mix project in the folder PATH. It uses this Situ without compiling it again, and contains a pipeline
         that runs, a component, tests on a virtual clock, a layout for the studio and a release with a systemd unit.
 
-        --example copies one of the examples instead, and gives it the project's name: #{Enum.join(Example.list_names(), ", ")}.
+        --example copies an example instead, and gives it the project's name. The examples are
+        #{Enum.join(Example.list_names(), ", ")}.
 
         With --component, --task or --visualizer, adds a working example to the project in the current folder instead.
         """,

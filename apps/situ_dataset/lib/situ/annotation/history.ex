@@ -21,7 +21,7 @@ defmodule Situ.Annotation.History do
   A layer is `{store, stream}`, where `store` is the path of the store without a version, as for
   `Situ.Annotation.Editor`. A version is the state after the operation of that number. It is written as `12`, `v12`,
   `now`, or the name that `name_version/3` gave it; `0` is the state before the first operation in the log. While an
-  editor of the layer is running in this program, use its functions, so that subscribers are notified at once.
+  editor of the layer runs in this program, use its functions, so that subscribers are notified at once.
   """
   alias Situ.Annotation.{Layer, LayerDocument, LayerHistory, LayerOperation}
   alias Situ.{EditLog, Error}

@@ -239,7 +239,7 @@ defmodule Situ.Annotation.LayerDocument do
     end
   end
 
-  # Without a log there are no edits that a new version could contradict.
+  # Without a log, a new version cannot contradict any edits.
   defp examine_versions(%{log: %{id: nil}} = state) do
     with {:ok, fresh, _outside} <- load_state(state, state.layer.schema), do: {:ok, fresh}
   end

@@ -101,7 +101,7 @@ defmodule Situ.Dataset.Server do
     end
   end
 
-  # Edits of a large dataset are in its log first. The file follows when there was no edit for a while.
+  # Edits of a large dataset are in its log first. The file is written after a pause in the edits.
   defp schedule_write(%{dataset: dataset, timer: timer} = state) do
     if timer, do: Process.cancel_timer(timer)
     due? = dataset.document != nil and Document.write_due?(dataset.document)

@@ -51,7 +51,7 @@ defmodule Situ.EditLog.Changes do
     end
   end
 
-  @doc "Applies changes in order; returns the first one that conflicts."
+  @doc "Applies changes in order; returns the first conflicting change."
   @spec apply_all(term(), [change()]) :: {:ok, term()} | {:conflict, change()}
   def apply_all(document, changes) do
     Enum.reduce_while(changes, {:ok, document}, fn change, {:ok, document} ->

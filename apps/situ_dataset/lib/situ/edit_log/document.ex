@@ -87,7 +87,7 @@ defmodule Situ.EditLog.Document do
          do: {:ok, struct!(document, file), mark}
   end
 
-  # A file without a log, such as one of an earlier release, gets its log with the first edit.
+  # A file without a log (of an earlier release) gets its log with the first edit.
   defp join_log(%{log: %{id: nil}} = document, _mark), do: {:ok, document}
 
   defp join_log(document, mark) do
@@ -149,7 +149,7 @@ defmodule Situ.EditLog.Document do
     end
   end
 
-  @doc "Applies changes to the content of a document, all or none; returns the first one that conflicts."
+  @doc "Applies changes to the content of a document, all or none; returns the first conflicting change."
   @spec apply_changes(t(), [Changes.change()]) :: {:ok, content()} | {:conflict, Changes.change()}
   def apply_changes(document, changes) do
     Enum.reduce_while(changes, {:ok, document.content}, fn change, {:ok, content} ->

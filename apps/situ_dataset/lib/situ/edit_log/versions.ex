@@ -33,7 +33,7 @@ defmodule Situ.EditLog.Versions do
 
     Error.new(:no_version, "there is no version #{text}",
       why: "the versions are #{Enum.join([numbers | Enum.uniq(names)], ", ")}",
-      fix: "choose one of these; the history lists them"
+      fix: "choose from these; the history lists them"
     )
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Experiment.Context do
   @moduledoc false
-  # What all results of a run have in common: the experiment, its folder and the code that it consists of.
+  # The common parts of all results of a run: the experiment, its folder and the code that it consists of.
   alias Situ.Experiment.CodeVersion
 
   @enforce_keys [:module, :folder, :code]

@@ -137,7 +137,7 @@ defmodule Situ.Experiment.Summary do
       numbers = Enum.map_join(run["sets"], ", ", &to_string(&1["number"]))
 
       {:error,
-       Error.new(:no_set, "run #{run["run"]} has no set #{number}", fix: "use one of #{numbers}")}
+       Error.new(:no_set, "run #{run["run"]} has no set #{number}", fix: "use #{numbers}")}
     end
   end
 

@@ -201,7 +201,7 @@ defmodule Situ.Python.Component do
         send(self(), :situ_python_again)
         {lost, state}
 
-      # A restart discards what is emitted now.
+      # A restart discards the current outputs.
       _restart_or_stop ->
         {[], %{state | lost: state.lost ++ for({_output, time, _} <- lost, do: time)}}
     end

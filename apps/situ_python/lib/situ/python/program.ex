@@ -84,7 +84,7 @@ defmodule Situ.Python.Program do
     end
   end
 
-  @doc "Runs a function of `situ.worker` and returns what it prints."
+  @doc "Runs a function of `situ.worker` and returns its printed output."
   @spec call_function(Path.t(), String.t(), [String.t()]) :: {:ok, binary()} | {:error, binary()}
   def call_function(interpreter, function, args) do
     start =

@@ -49,7 +49,7 @@ defmodule Situ.Python.Requests do
   @spec not_settled_error() :: Error.t()
   def not_settled_error, do: Error.new(:not_settled, "the worker was still handling messages")
 
-  @doc "Describes why there is no snapshot."
+  @doc "Describes the reason for a missing snapshot."
   @spec no_snapshot_error(String.t(), Error.t()) :: Error.t()
   def no_snapshot_error(class, error) do
     Error.new(:no_snapshot, "cannot take a snapshot of #{class}: #{error.what}",

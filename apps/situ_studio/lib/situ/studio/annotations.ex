@@ -155,7 +155,7 @@ defmodule Situ.Studio.Annotations do
 
   def apply_edit(_, _), do: invalid_edit()
 
-  # The person is for the history. The version is the one that the page showed.
+  # The person is for the history. The version is the version on the page.
   defp edit_options(params) do
     by = params["by"]
     version = params["version"]

@@ -143,7 +143,7 @@ defmodule Situ.CLI.Annotate.LayerVersions do
       else:
         raise(
           Error.new(:no_layer, "there is no layer #{inspect(name)}",
-            fix: "choose one of: #{Enum.join(names, ", ")}"
+            fix: "choose from: #{Enum.join(names, ", ")}"
           )
         )
   end

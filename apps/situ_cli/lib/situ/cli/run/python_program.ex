@@ -93,7 +93,7 @@ defmodule Situ.CLI.Run.PythonProgram do
     end
   end
 
-  # The names are from a program of the user, who has asked to run it.
+  # The names are from a program that the user has asked to run.
   defp parse_outputs(outputs) do
     Error.map_ok(outputs, fn [name, type] ->
       with {:ok, type} <- parse_type(type), do: {:ok, {String.to_atom(name), type}}
