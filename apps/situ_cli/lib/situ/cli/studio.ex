@@ -4,6 +4,7 @@ defmodule Situ.CLI.Studio do
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Plugin, Token, Verb}
+  alias Situ.CLI.Run.Interrupt
   alias Situ.{Error, Studio}
 
   @impl true
@@ -143,11 +144,18 @@ defmodule Situ.CLI.Studio do
     )
   end
 
+  # Service managers stop the studio with SIGTERM.
   defp wait_for_exit(studio) do
-    receive do
-      {:EXIT, ^studio, reason} ->
-        Output.warn("situ studio: the studio ended: #{inspect(reason)}")
-        1
-    end
+    Interrupt.with_message(:stop, fn ->
+      receive do
+        :stop ->
+          Supervisor.stop(studio, :shutdown)
+          0
+
+        {:EXIT, ^studio, reason} ->
+          Output.warn("situ studio: the studio ended: #{inspect(reason)}")
+          1
+      end
+    end)
   end
 end
