@@ -242,7 +242,10 @@ class Worker:
     def _encode(self, time, name, value):
         index = self._outputs.get(name)
         if index is None:
-            raise TypeError(f"there is no output {name!r}: the outputs are {', '.join(self._outputs)}")
+            raise TypeError(
+                f"there is no output {name!r}: the outputs are {', '.join(self._outputs)}. "
+                f"Declare it with `out:`, or for `situ run` in the class: outputs = {{{name!r}: 'any'}}"
+            )
         if index in self._image_outputs and hasattr(value, "__array__"):
             value = values.Image.from_array(value, copy=False)
         return self._encode_emission(index, time, value)

@@ -159,7 +159,12 @@ defmodule Situ.CLI.Run.PythonProgram do
   # Returns the handler for the type of a stream.
   defp matching_input(class, %StreamInfo{type: type}) do
     word = type |> inspect() |> String.split(".") |> List.last() |> Macro.underscore()
-    Enum.find(class["inputs"], &(&1 == word))
+
+    cond do
+      word in class["inputs"] -> word
+      word == "encoded_image" and "image" in class["inputs"] -> "image"
+      true -> nil
+    end
   end
 
   defp choose_stream(class, store, text) do
@@ -211,13 +216,20 @@ defmodule Situ.CLI.Run.PythonProgram do
 
     streams =
       for {input, name} <- chosen,
-          do: {input && String.to_atom(input), Store.stream(importer, name)}
+          stream = importer |> Store.stream(name) |> decode_images(input),
+          do: {input && String.to_atom(input), stream}
 
     case streams do
       [{nil, stream}] -> Situ.Python.component(stream, source, opts)
       streams -> Situ.Python.component(streams, source, opts)
     end
   end
+
+  # A handler of images needs their pixels. Recordings mostly contain JPEG.
+  defp decode_images(%Situ.Stream{type: Situ.EncodedImage} = stream, "image"),
+    do: Situ.ImageStream.decode(stream)
+
+  defp decode_images(stream, _input), do: stream
 
   defp name_streams(%Situ.Stream{} = stream, [{name, _type}]),
     do: Situ.name(stream, to_string(name))

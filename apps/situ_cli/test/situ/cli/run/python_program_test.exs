@@ -71,6 +71,49 @@ defmodule Situ.CLI.Run.PythonProgramTest do
     assert status != 0 and errors =~ "add --input"
   end
 
+  test "decodes the images of a recording for a handler of images", context do
+    image = Situ.Image.new_filled(8, 4, :rgb24, [200, 100, 50])
+    {:ok, jpeg} = Situ.ImageOps.encode_jpeg(image)
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Store.create(p, "camera", context.tmp_dir)
+        stream = Situ.from_enumerable(p, [jpeg, jpeg], every: 1, type: Situ.EncodedImage)
+        Store.write(stream, store, "Camera")
+      end)
+
+    File.write!(context.program, """
+    import situ
+
+    class Size(situ.Component):
+        outputs = {"size": "list"}
+
+        def on_image(self, image, message):
+            return {"size": [type(image).__name__, image.width, image.height]}
+    """)
+
+    camera = Path.join(context.tmp_dir, "camera")
+    arguments = [context.program, "--input", camera, "--speed", "max", "--record", context.output]
+
+    for more <- [[], ["--stream", "Camera"]] do
+      assert {0, _, _} = run(arguments ++ more)
+
+      assert context.output |> Store.open!() |> Store.messages("size") |> Enum.map(& &1.data) ==
+               [["Image", 8, 4], ["Image", 8, 4]]
+    end
+
+    File.write!(context.program, """
+    import situ
+
+    class Size(situ.Component):
+        def on_image(self, image, message):
+            return {"size": image.width}
+    """)
+
+    assert {1, _, errors} = run(arguments)
+    assert errors =~ "outputs = {'size': 'any'}"
+  end
+
   test "takes packages from the metadata of a script" do
     text = """
     # /// script
