@@ -6,11 +6,6 @@ const PICTURES = {
   recording: async (page) => {
     await page.goto(`${address}s/walk.0000`);
     await page.waitForFunction(() => document.body.dataset.ready === "1");
-    // The number of steps is much larger than the angle.
-    await page.mouse.click(700, 400);
-    await page.keyboard.press("p");
-    await page.check("#axis-own");
-    await page.keyboard.press("p");
     await page.mouse.move(700, 300);
   },
   file: async (page) => {
