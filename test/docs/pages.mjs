@@ -22,7 +22,10 @@ async function checkPage(page, name, look) {
   if (wide) problems.push(`${name} ${look}: wider than the window`);
 }
 
-for (const [colorScheme, width] of [["light", 1280], ["dark", 390]]) {
+for (const [colorScheme, width] of [
+  ["light", 1280],
+  ["dark", 390],
+]) {
   const page = await browser.newPage({ colorScheme, viewport: { width, height: 800 } });
   for (const name of names) await checkPage(page, name, `${colorScheme} ${width}`);
   await page.close();

@@ -5,12 +5,12 @@ defmodule Situ.EditLog.Lines do
   alias Situ.EditLog.Entry
 
   @doc """
-  Encodes a line.
+  Encodes a line: a map, or `{pairs}` to keep their order.
 
       iex> Situ.EditLog.Lines.encode(%{"n" => 1}) |> IO.iodata_to_binary()
       "d44b3b7e {\\"n\\":1}\\n"
   """
-  @spec encode(map()) :: iodata()
+  @spec encode(map() | {[{String.t(), term()}]}) :: iodata()
   def encode(json) do
     text = Situ.JSON.encode(json)
     [checksum(text), " ", text, "\n"]
