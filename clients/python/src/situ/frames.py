@@ -57,10 +57,11 @@ class Frame(Mapping[str, Any]):
         return pyarrow.table(columns)
 
     def to_polars(self) -> Any:
-        """Returns a polars.DataFrame."""
+        """Returns a polars.DataFrame. Needs no pyarrow."""
         import polars
 
-        return polars.from_arrow(self.to_arrow())
+        frame = polars.DataFrame({name: _flatten(column) for name, column in self.columns.items()})
+        return frame.with_columns(polars.col("time").dt.replace_time_zone("UTC"))
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{name}: {column.dtype}" for name, column in self.columns.items())

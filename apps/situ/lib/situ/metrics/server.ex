@@ -89,7 +89,8 @@ defmodule Situ.Metrics.Server do
   defp open_port(address, port, _tries), do: start_httpd(address, port)
 
   defp start_httpd(address, port) do
-    folder = System.tmp_dir!() |> String.to_charlist()
+    # The web server requires a folder, but serves no files.
+    folder = :code.lib_dir(:situ)
 
     config = [
       port: port,
@@ -122,5 +123,13 @@ defmodule Situ.Metrics.Server do
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   @impl true
-  def terminate(_reason, state), do: :inets.stop(:stand_alone, state.httpd)
+  def terminate(_reason, state) do
+    monitor = Process.monitor(state.httpd)
+    _ = :inets.stop(:stand_alone, state.httpd)
+
+    # The port is free when the web server's process has ended.
+    receive do
+      {:DOWN, ^monitor, :process, _pid, _reason} -> :ok
+    end
+  end
 end

@@ -181,8 +181,8 @@ defmodule Situ.Live.SocketTest do
       server = start_supervised!({Situ.Live, port: 0, max_sockets: 2, routes: routes})
       port = Situ.Live.port(server)
       {:ok, first} = Raw.upgrade(port, "/ws")
-      {:ok, _} = Raw.upgrade(port, "/ws")
       assert_receive {:open, pid}
+      {:ok, _} = Raw.upgrade(port, "/ws")
       assert_receive {:open, _}
       assert {503, _, _} = Raw.upgrade(port, "/ws")
       monitor = Process.monitor(pid)
