@@ -264,6 +264,9 @@ def open_path(path):
             except (FileNotFoundError, Damaged):
                 # A crash may have left a version without an index.
                 continue
+            if store.segment is None and not store.streams and len(list_versions(path)) > 1:
+                # A recorder has just begun, or was killed at that moment.
+                continue
             return store if store.segment is None else SegmentedStore(path)
         path = next(reversed(list_versions(path).values()), path)
     return Store(path)

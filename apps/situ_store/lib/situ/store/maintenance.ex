@@ -210,7 +210,8 @@ defmodule Situ.Store.Maintenance do
 
     with :ok <- check_renaming(path),
          {:ok, folders} <- resolve_folders(path),
-         do: Enum.find_value(folders, :ok, &find_error(Deletion.delete_folder(&1)))
+         {:ok, unmarked} <- list_idle_unmarked(path),
+         do: Enum.find_value(unmarked ++ folders, :ok, &find_error(Deletion.delete_folder(&1)))
   end
 
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
@@ -250,6 +251,12 @@ defmodule Situ.Store.Maintenance do
     else
       with {:ok, folder} <- resolve_folder(path), :ok <- check_idle(folder), do: {:ok, [folder]}
     end
+  end
+
+  # Otherwise the name would open an empty recording after its segments are deleted.
+  defp list_idle_unmarked(path) do
+    folders = if Segments.segmented?(path), do: Segments.list_unmarked(path), else: []
+    with nil <- Enum.find_value(folders, &find_error(check_idle(&1))), do: {:ok, folders}
   end
 
   defp resolve_folder(path) do

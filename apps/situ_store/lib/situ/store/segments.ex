@@ -13,8 +13,11 @@ defmodule Situ.Store.Segments do
   def create_cache,
     do: :ets.new(__MODULE__, [:named_table, :public, :set, read_concurrency: true])
 
-  @doc "Returns whether the store in a folder is a segment, or the error if it cannot be opened."
-  @spec check_segment(Path.t()) :: boolean() | {:error, Situ.Error.t()}
+  @doc """
+  Returns whether the store in a folder is a segment. Returns `:unmarked` if the store has no streams, because its
+  recorder has just begun or was killed at that moment, and the error if the store cannot be opened.
+  """
+  @spec check_segment(Path.t()) :: boolean() | :unmarked | {:error, Situ.Error.t()}
   def check_segment(folder) do
     inode = index_inode(folder)
 
@@ -40,10 +43,15 @@ defmodule Situ.Store.Segments do
 
   defp read_mark(folder, inode) do
     with {:ok, state} <- NativeFormat.open(folder, []) do
-      %{piece: piece} = info = NativeFormat.info(state)
-      # The mark is the second record of a segment.
-      if piece != nil or info.entries > 1, do: put_cached(folder, inode, piece != nil)
-      piece != nil
+      segment? = NativeFormat.info(state).piece != nil
+
+      # A segment is marked before its first stream. A repair closes a store without content, but does not mark it.
+      if segment? or NativeFormat.streams(state) != [] do
+        put_cached(folder, inode, segment?)
+        segment?
+      else
+        :unmarked
+      end
     end
   rescue
     error in Situ.Error -> {:error, error}
@@ -63,7 +71,7 @@ defmodule Situ.Store.Segments do
 
   defp list_versions(path), do: Folder.list_versions(Path.basename(path), Path.dirname(path))
 
-  # A version that a crash left without an index says nothing about the others.
+  # A version that a crash left without an index or without content says nothing about the others.
   defp newest_segment?(versions) do
     versions
     |> Enum.reverse()
@@ -74,6 +82,11 @@ defmodule Situ.Store.Segments do
   @doc "Returns the folders of the segments of a recording ROOT/NAME, oldest first."
   @spec list_folders(Path.t()) :: [Path.t()]
   def list_folders(path), do: path |> list_versions() |> Enum.filter(&(check_segment(&1) == true))
+
+  @doc "Returns the folders of a recording ROOT/NAME in which a recorder was killed before it wrote anything."
+  @spec list_unmarked(Path.t()) :: [Path.t()]
+  def list_unmarked(path),
+    do: path |> list_versions() |> Enum.filter(&(check_segment(&1) == :unmarked))
 
   @doc """
   Returns the folders of a recording ROOT/NAME that belong to it: its segments, and the versions that cannot be read and
@@ -100,7 +113,7 @@ defmodule Situ.Store.Segments do
     versions = Enum.sort_by(versions, &Folder.version_number/1)
 
     if newest_segment?(versions) and not Folder.store_folder?(name),
-      do: [name | Enum.reject(versions, &(check_segment(&1) == true))],
+      do: [name | Enum.reject(versions, &(check_segment(&1) in [true, :unmarked]))],
       else: versions
   end
 end

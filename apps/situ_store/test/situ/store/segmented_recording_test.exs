@@ -139,6 +139,44 @@ defmodule Situ.Store.SegmentedRecordingTest do
       assert [%{name: "N", count: 41}] = Store.streams(open(root))
     end
 
+    test "is not hidden by a recorder that was killed before it wrote anything", ctx do
+      path = Path.join(ctx.tmp_dir, "hall")
+      run = Enum.reduce(1..30, start_run(ctx.tmp_dir, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      assert {:ok, empty} = create_unwritten(ctx.tmp_dir)
+      assert %{closed?: false, piece: nil, entries: n} = Store.info(Store.open!(empty))
+      assert n < 2
+
+      assert [%{name: "N", count: 30}] = Store.streams(open(ctx.tmp_dir))
+      assert Store.list(ctx.tmp_dir) == [path]
+      # A repair closes the empty version, which is still no recording.
+      assert {:ok, %{dropped: 0}} = Store.repair(path)
+      assert %{closed?: true} = Store.info(Store.open!(empty))
+      assert [%{name: "N", count: 30}] = Store.streams(open(ctx.tmp_dir))
+      assert {:ok, copy} = Store.copy(path, {"copy", ctx.tmp_dir})
+      assert [%{name: "N", count: 30}] = Store.streams(Store.open!(copy))
+      :ok = Store.delete(copy)
+      # A recorder continues the recording.
+      run = Enum.reduce(50..60, start_run(ctx.tmp_dir, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+      assert [%{name: "N", count: 41}] = Store.streams(open(ctx.tmp_dir))
+      assert :ok = Store.delete(path)
+      refute File.exists?(empty)
+      assert {:error, %{code: :no_store}} = Store.open(path)
+    end
+
+    # As a recorder that is killed after it has created its first segment.
+    defp create_unwritten(root) do
+      {pid, monitor} =
+        spawn_monitor(fn ->
+          {:ok, writer} = Writer.create("hall", root)
+          exit({:created, writer.path})
+        end)
+
+      assert_receive {:DOWN, ^monitor, :process, ^pid, {:created, path}}
+      {:ok, path}
+    end
+
     test "shows streams of the same name and another type separately", %{tmp_dir: root} do
       run = start_run(root, 10, nil)
       {:ok, _, stream} = Rotation.open_stream(run.rotation, 0, "N", type: :integer)
