@@ -48,6 +48,7 @@ defmodule Situ.Store.Maintenance do
   defp verify_store(%Recording{module: SegmentedRecording, path: path}, progress) do
     path
     |> Segments.list_possible_folders()
+    |> Enum.reject(&Segments.nothing_written?/1)
     |> Enum.map(&verify_segment(&1, progress))
     |> merge_reports(%{chunks: 0, damage: []})
   end
@@ -60,9 +61,7 @@ defmodule Situ.Store.Maintenance do
       {:ok, prefix_damage(report, folder)}
     else
       {:error, error} ->
-        if empty_folder?(folder),
-          do: {:ok, %{}},
-          else: {:ok, %{damage: [%{file: Path.basename(folder), offset: 0, why: error.what}]}}
+        {:ok, %{damage: [%{file: Path.basename(folder), offset: 0, why: error.what}]}}
     end
   end
 
@@ -70,9 +69,6 @@ defmodule Situ.Store.Maintenance do
     name = Path.basename(folder)
     %{report | damage: for(d <- damage, do: %{d | file: Path.join(name, d.file)})}
   end
-
-  # A recorder that was killed may leave an empty folder.
-  defp empty_folder?(folder), do: File.ls(folder) in [{:ok, []}, {:ok, ["lock"]}]
 
   # Adds up the reports on the segments of a recording, or returns the first error.
   defp merge_reports(reports, start) do
@@ -136,7 +132,7 @@ defmodule Situ.Store.Maintenance do
   defp repair_segments(path, opts) do
     path
     |> Segments.list_possible_folders()
-    |> Enum.reject(&empty_folder?/1)
+    |> Enum.reject(&Segments.nothing_written?/1)
     |> Stream.map(&repair_segment(&1, opts))
     |> merge_reports(@no_repairs)
   end

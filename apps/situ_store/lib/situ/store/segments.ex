@@ -83,6 +83,27 @@ defmodule Situ.Store.Segments do
   @spec list_folders(Path.t()) :: [Path.t()]
   def list_folders(path), do: path |> list_versions() |> Enum.filter(&(check_segment(&1) == true))
 
+  @doc """
+  Returns whether a recorder was killed before it wrote the header of the store in a folder. The index then exists at
+  most as zeros, and there is no data file, so nothing is lost.
+  """
+  @spec nothing_written?(Path.t()) :: boolean()
+  def nothing_written?(folder) do
+    case File.ls(folder) do
+      {:ok, files} -> files -- ["lock", "index.situ"] == [] and blank_index?(folder)
+      {:error, reason} -> reason == :enoent
+    end
+  end
+
+  defp blank_index?(folder) do
+    case File.open(Path.join(folder, "index.situ"), [:read, :binary], &IO.binread(&1, 4_096)) do
+      {:ok, :eof} -> true
+      {:ok, bytes} when is_binary(bytes) -> bytes == <<0::size(byte_size(bytes))-unit(8)>>
+      {:error, reason} -> reason == :enoent
+      _ -> false
+    end
+  end
+
   @doc "Returns the folders of a recording ROOT/NAME in which a recorder was killed before it wrote anything."
   @spec list_unmarked(Path.t()) :: [Path.t()]
   def list_unmarked(path),

@@ -165,6 +165,28 @@ defmodule Situ.Store.SegmentedRecordingTest do
       assert {:error, %{code: :no_store}} = Store.open(path)
     end
 
+    test "has no damage if a recorder was killed before it wrote a header", %{tmp_dir: root} do
+      path = Path.join(root, "hall")
+      run = Enum.reduce(1..30, start_run(root, 10, nil), &append(&2, "N", &1, &1))
+      stop_run(run)
+
+      for {number, index} <- [{50, ""}, {51, <<0::size(65_536)-unit(8)>>}] do
+        folder = "#{path}.00#{number}"
+        File.mkdir_p!(folder)
+        File.write!(Path.join(folder, "lock"), "")
+        File.write!(Path.join(folder, "index.situ"), index)
+      end
+
+      assert %{damage: []} = Store.info(open(root))
+      assert [%{count: 30}] = Store.streams(open(root))
+      assert {:ok, %{damage: []}} = Store.verify(path)
+      assert {:ok, %{dropped: 0, damage: []}} = Store.repair(path)
+      # Other content may be a segment.
+      File.write!("#{path}.0051/index.situ", "no index")
+      assert %{damage: [_]} = Store.info(open(root))
+      assert {:ok, %{damage: [_ | _]}} = Store.verify(path)
+    end
+
     # As a recorder that is killed after it has created its first segment.
     defp create_unwritten(root) do
       {pid, monitor} =

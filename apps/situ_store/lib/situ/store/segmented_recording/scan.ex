@@ -2,7 +2,7 @@ defmodule Situ.Store.SegmentedRecording.Scan do
   @moduledoc false
   # Brings an index up to date with the folder: finds new segments, reads the statistics of segments that are
   # being written, and removes deleted segments.
-  alias Situ.Store.NativeFormat
+  alias Situ.Store.{NativeFormat, Segments}
   alias Situ.Store.SegmentedRecording.{Contents, Timeline}
   alias Situ.Store.SegmentedRecording.Contents.Segment
   alias Situ.Store.SegmentedRecording.Timeline.Part
@@ -154,9 +154,9 @@ defmodule Situ.Store.SegmentedRecording.Scan do
       note_unreadable(drop_segment(number, contents), number, path, error)
   end
 
-  # A recorder that was killed may leave an empty folder.
+  # A recorder that was killed may leave a folder without content.
   defp note_unreadable(contents, number, path, error) do
-    if File.ls(path) in [{:ok, []}, {:ok, ["lock"]}, {:error, :enoent}],
+    if Segments.nothing_written?(path),
       do: contents,
       else:
         put_in(
