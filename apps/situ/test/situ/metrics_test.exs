@@ -58,7 +58,7 @@ defmodule Situ.MetricsTest do
     assert types == Enum.uniq(types)
   end
 
-  test "adds the metrics of applications, and leaves out those that raise" do
+  test "includes metrics of applications, except metrics that raise" do
     Application.put_env(:situ, :metrics, [OwnMetrics, BrokenMetrics])
     on_exit(fn -> Application.delete_env(:situ, :metrics) end)
 
@@ -111,7 +111,7 @@ defmodule Situ.MetricsTest do
       assert {:error, _} = :gen_tcp.connect('127.0.0.1', port, [])
     end
 
-    test "reports a pipeline that is missing, and one that does not respond" do
+    test "reports missing and suspended pipelines" do
       p = start_pipeline("Metrics health")
       {:ok, server} = Server.start_link(port: 0)
       port = Server.port(server)

@@ -163,6 +163,17 @@ defmodule Situ.EditLogTest do
       :persistent_term.erase({LockCheck, device})
       assert {:error, %{code: :no_locks, fix: fix}} = LockCheck.check_folder(folder, unlocked)
       assert fix =~ "local disk"
+
+      unsupported = fn path ->
+        Situ.Store.NativeErrors.wrap_error(
+          {:error, {:io, "lock", 37, "No locks available"}},
+          path
+        )
+      end
+
+      assert {:error, %{code: :no_locks, why: "No locks available", fix: ^fix}} =
+               LockCheck.check_folder(folder, unsupported)
+
       assert LockCheck.check_folder(folder) == :ok
     end
 

@@ -30,7 +30,9 @@ defmodule Situ.JsonLog do
           iodata()
   def format(level, message, timestamp, metadata) do
     fields =
-      for {key, value} <- metadata, key not in @internal, do: {Atom.to_string(key), plain(value)}
+      for {key, value} <- metadata,
+          key not in @internal,
+          do: {Atom.to_string(key), simplify_value(value)}
 
     own = [
       {"time", format_time(metadata[:time], timestamp)},
@@ -53,11 +55,13 @@ defmodule Situ.JsonLog do
     |> NaiveDateTime.to_iso8601()
   end
 
-  defp plain(value) when is_number(value) or is_boolean(value) or is_nil(value), do: value
-  defp plain(value) when is_atom(value), do: inspect(value) |> String.trim_leading(":")
+  defp simplify_value(value) when is_number(value) or is_boolean(value) or is_nil(value),
+    do: value
 
-  defp plain(value) when is_binary(value),
+  defp simplify_value(value) when is_atom(value), do: inspect(value) |> String.trim_leading(":")
+
+  defp simplify_value(value) when is_binary(value),
     do: if(String.valid?(value), do: value, else: inspect(value))
 
-  defp plain(value), do: inspect(value, limit: 50, printable_limit: 500)
+  defp simplify_value(value), do: inspect(value, limit: 50, printable_limit: 500)
 end

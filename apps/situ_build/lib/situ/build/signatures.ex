@@ -47,7 +47,7 @@ defmodule Situ.Build.Signatures do
   defp module_signatures(module, status) do
     functions =
       for entry <- module.entries, arity <- entry.arities do
-        name = "#{prefix(entry.kind)}#{module.name}.#{entry.name}/#{arity}"
+        name = "#{kind_prefix(entry.kind)}#{module.name}.#{entry.name}/#{arity}"
         build_signature(name, status, ["#{module.name}.#{entry.name}/#{arity}"], entry.deprecated)
       end
 
@@ -64,9 +64,9 @@ defmodule Situ.Build.Signatures do
     Enum.sort_by(functions ++ fields ++ options, & &1.text)
   end
 
-  defp prefix(:type), do: "t:"
-  defp prefix(kind) when kind in [:callback, :macrocallback], do: "c:"
-  defp prefix(_kind), do: ""
+  defp kind_prefix(:type), do: "t:"
+  defp kind_prefix(kind) when kind in [:callback, :macrocallback], do: "c:"
+  defp kind_prefix(_kind), do: ""
 
   defp build_signature(text, status, words, deprecated \\ nil),
     do: %{text: text, status: status, deprecated?: deprecated != nil, words: words}

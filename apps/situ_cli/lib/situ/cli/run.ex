@@ -3,8 +3,8 @@ defmodule Situ.CLI.Run do
   # `situ run`: runs the pipeline of an Elixir file, of a project, or of a Python file.
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Desktop, Option, Output, Setting, Terminal, Verb}
-  alias Situ.CLI.Run.{Interrupt, Project, PythonProgram, Recorder, Script, Summary, Watcher}
+  alias Situ.CLI.{Desktop, Interrupt, Option, Output, Setting, Terminal, Verb}
+  alias Situ.CLI.Run.{Project, PythonProgram, Recorder, Script, Summary, Watcher}
   alias Situ.{Error, Options, Pipeline, Studio}
 
   @impl true

@@ -3,8 +3,7 @@ defmodule Situ.CLI.Studio do
   # `situ studio`: shows recordings in the browser.
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Plugin, Token, Verb}
-  alias Situ.CLI.Run.Interrupt
+  alias Situ.CLI.{Interrupt, Option, Output, Plugin, Token, Verb}
   alias Situ.{Error, Studio}
 
   @impl true

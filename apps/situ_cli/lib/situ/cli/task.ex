@@ -3,7 +3,7 @@ defmodule Situ.CLI.Task do
   # `situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a
   # dataset.
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Progress, Setting, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Setting, SourceFile, Verb}
   alias Situ.Dataset
   alias Situ.Dataset.Derivation.Report
   alias Situ.{Error, Time}
@@ -125,9 +125,8 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  # Compiling is safe here, because the user named the file; nothing else is ever compiled.
   defp load_from_file(file) do
-    modules = for {module, _} <- compile_file(file), do: module
+    modules = for {module, _} <- SourceFile.compile_file!(file), do: module
 
     cond do
       module = Enum.find(modules, &function_exported?(&1, :task, 0)) ->
@@ -141,14 +140,6 @@ defmodule Situ.CLI.Task do
                 fix: "define a module with build/2, see Situ.Dataset.derive/3"
               )
     end
-  end
-
-  defp compile_file(file) do
-    Code.compile_file(file)
-  rescue
-    error in [CompileError, SyntaxError, TokenMissingError, Code.LoadError] ->
-      reraise Error.new(:not_compiled, "#{file} cannot be compiled", why: Exception.message(error)),
-              __STACKTRACE__
   end
 
   defp derivation_options(task, options, opts) do

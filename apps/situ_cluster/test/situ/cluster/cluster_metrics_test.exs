@@ -18,7 +18,7 @@ defmodule Situ.Cluster.ClusterMetricsTest do
     assert text =~ ~s(situ_round_trip_seconds{peer="b@host"} 0.002\n)
   end
 
-  test "a node that is no member has none, and all are registered" do
+  test "a node outside of a cluster has no metrics, and the module is registered" do
     assert ClusterMetrics in Application.get_env(:situ_cluster, :metrics)
     assert is_list(ClusterMetrics.collect_metrics())
   end

@@ -28,13 +28,14 @@ defmodule Situ.Annotation.EditMerge do
 
   defp overlaps?(entry, wanted) do
     {:ok, transaction} = LayerOperation.parse_transaction(entry.do)
-    Enum.any?(list_fields(transaction), fn {id, fields} -> conflict?(fields, wanted[id]) end)
+
+    Enum.any?(list_fields(transaction), fn {id, fields} -> fields_overlap?(fields, wanted[id]) end)
   end
 
-  defp conflict?(_theirs, nil), do: false
-  defp conflict?(:all, _mine), do: true
-  defp conflict?(_theirs, :all), do: true
-  defp conflict?(theirs, mine), do: theirs -- theirs -- mine != []
+  defp fields_overlap?(_theirs, nil), do: false
+  defp fields_overlap?(:all, _mine), do: true
+  defp fields_overlap?(_theirs, :all), do: true
+  defp fields_overlap?(theirs, mine), do: theirs -- theirs -- mine != []
 
   # Both ends of an interval are one field, because they depend on each other.
   defp list_fields(transaction) do

@@ -84,24 +84,24 @@ defmodule Situ.Annotation.History do
   """
   @spec restore(layer(), String.t()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def restore(layer, version) do
-    change(layer, fn document ->
+    change_layer(layer, fn document ->
       with {:ok, n} <- find_version(document, version), do: LayerHistory.restore(document, n, [])
     end)
   end
 
   @doc "Undoes this user's last edit, saves, and returns the layer. Errors: `:nothing_to_undo`, `:stale_edit`."
   @spec undo(layer()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def undo(layer), do: change(layer, &LayerHistory.undo/1)
+  def undo(layer), do: change_layer(layer, &LayerHistory.undo/1)
 
   @doc "Redoes the edit that this user undid last. Errors: `:nothing_to_redo`, `:stale_edit`."
   @spec redo(layer()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def redo(layer), do: change(layer, &LayerHistory.redo/1)
+  def redo(layer), do: change_layer(layer, &LayerHistory.redo/1)
 
   @doc "Gives a version (default: the current one) a name. Error: `:no_version`."
   @spec name_version(layer(), String.t(), String.t()) :: :ok | {:error, Error.t()}
   def name_version(layer, name, version \\ "now") do
     named =
-      change(layer, fn document ->
+      change_layer(layer, fn document ->
         with {:ok, n} <- find_version(document, version),
              do: LayerHistory.name_version(document, name, n)
       end)
@@ -109,7 +109,7 @@ defmodule Situ.Annotation.History do
     with {:ok, _} <- named, do: :ok
   end
 
-  defp change({path, stream}, fun) do
+  defp change_layer({path, stream}, fun) do
     with {:ok, document} <- LayerDocument.open(path, stream, nil) do
       EditLog.with_lock(document.document, fn ->
         with {:ok, document} <- LayerDocument.catch_up(document),

@@ -75,25 +75,25 @@ defmodule Situ.Dataset.History do
   @doc "Restores a version by a new operation. Errors: `:no_version`, and the errors of `Situ.Dataset.update/3`."
   @spec restore(Dataset.t(), String.t()) :: Dataset.result()
   def restore(dataset, version),
-    do: change(dataset, &DocumentHistory.restore(&1, version, write: true))
+    do: change_dataset(dataset, &DocumentHistory.restore(&1, version, write: true))
 
   @doc """
   Undoes this user's last edit, also of an earlier program. Errors: `:nothing_to_undo`, `:dataset_changed` if somebody
   has changed the same field since, and the errors of `Situ.Dataset.update/3`.
   """
   @spec undo(Dataset.t()) :: Dataset.result()
-  def undo(dataset), do: change(dataset, &DocumentHistory.undo(&1, write: true))
+  def undo(dataset), do: change_dataset(dataset, &DocumentHistory.undo(&1, write: true))
 
   @doc "Redoes the edit that this user undid last. Errors: `:nothing_to_redo`, and the errors of `undo/1`."
   @spec redo(Dataset.t()) :: Dataset.result()
-  def redo(dataset), do: change(dataset, &DocumentHistory.redo(&1, write: true))
+  def redo(dataset), do: change_dataset(dataset, &DocumentHistory.redo(&1, write: true))
 
   @doc "Gives a version (default: the current one) a name. Error: `:no_version`."
   @spec name_version(Dataset.t(), String.t(), String.t()) :: Dataset.result()
   def name_version(dataset, name, version \\ "now"),
-    do: change(dataset, &DocumentHistory.name_version(&1, name, version))
+    do: change_dataset(dataset, &DocumentHistory.name_version(&1, name, version))
 
-  defp change(dataset, fun) do
+  defp change_dataset(dataset, fun) do
     with {:ok, document} <- fetch_document(dataset),
          do: document |> fun.() |> Dataset.take_document(dataset)
   end

@@ -165,13 +165,13 @@ defmodule Situ.EditLog.Changes do
   def force_change(document, change) do
     case apply_change(document, change) do
       {:ok, document} -> document
-      :conflict -> overwrite(document, change)
+      :conflict -> overwrite_value(document, change)
     end
   end
 
-  defp overwrite(document, [_, [], _, later]) when not is_nil(document), do: later
+  defp overwrite_value(document, [_, [], _, later]) when not is_nil(document), do: later
 
-  defp overwrite(document, [kind, [key], a, b]) when kind in ["add", "remove"] do
+  defp overwrite_value(document, [kind, [key], a, b]) when kind in ["add", "remove"] do
     with {:ok, current} <- fetch_member(document, key),
          {:ok, bare} <- apply_change(document, ["remove", [key], current, nil]),
          {:ok, result} <-
@@ -182,15 +182,15 @@ defmodule Situ.EditLog.Changes do
     end
   end
 
-  defp overwrite(document, ["set", [key], _before, later]) when is_map(document),
+  defp overwrite_value(document, ["set", [key], _before, later]) when is_map(document),
     do: Map.put(document, key, later)
 
-  defp overwrite(document, [kind, [key | rest], a, b]) do
+  defp overwrite_value(document, [kind, [key | rest], a, b]) do
     case fetch_member(document, key) do
       {:ok, member} -> put_member(document, key, force_change(member, [kind, rest, a, b]))
       :error -> document
     end
   end
 
-  defp overwrite(document, _change), do: document
+  defp overwrite_value(document, _change), do: document
 end

@@ -67,14 +67,14 @@ defmodule Situ.EditLog.Description do
   defp join_owners(word, owners), do: " #{word} " <> Enum.join(owners, " of ")
 
   defp value_suffix(path, value) when is_map(value) or is_list(value) do
-    if length(path) == 2 and hd(path) == "sessions", do: "", else: shorten(value)
+    if length(path) == 2 and hd(path) == "sessions", do: "", else: value_details(value)
   end
 
   defp value_suffix(path, value),
     do: if(List.last(path) == value, do: "", else: " = #{show_value(value)}")
 
-  defp shorten(%{"path" => path}), do: " (#{path})"
-  defp shorten(value), do: " = #{show_value(value)}"
+  defp value_details(%{"path" => path}), do: " (#{path})"
+  defp value_details(value), do: " = #{show_value(value)}"
 
   defp show_value(nil), do: "nothing"
 

@@ -66,8 +66,8 @@ defmodule Situ.EditLog.DocumentFile do
   end
 
   @doc """
-  Compares the file with the one that was read or written last: `{:unchanged, document}`, or `:changed`. A deleted file
-  counts as unchanged, because the next edit writes it again.
+  Returns `:changed` if another program has changed the file since it was last read or written here, otherwise
+  `{:unchanged, document}`. A deleted file counts as unchanged, because the next edit writes it again.
   """
   @spec check(document) :: {:unchanged, document} | :changed when document: map()
   def check(%{path: path, stat: stat} = document) do

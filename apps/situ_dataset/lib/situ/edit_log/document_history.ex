@@ -58,10 +58,10 @@ defmodule Situ.EditLog.DocumentHistory do
   end
 
   defp repeat_entry({[], _}, _document, _content, "undo"),
-    do: {:error, Error.new(:nothing_to_undo, "there is no edit of yours to undo")}
+    do: {:error, Error.new(:nothing_to_undo, "you have no edit to undo")}
 
   defp repeat_entry({[], _}, _document, _content, "redo"),
-    do: {:error, Error.new(:nothing_to_redo, "there is no edit of yours to redo")}
+    do: {:error, Error.new(:nothing_to_redo, "you have no edit to redo")}
 
   defp repeat_entry({[entry | _], convert}, document, content, _kind) do
     changes = [entry] |> Replay.list_changes() |> convert.()

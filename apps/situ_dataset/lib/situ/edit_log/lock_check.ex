@@ -29,7 +29,7 @@ defmodule Situ.EditLog.LockCheck do
         :ok = FileLock.release(lock)
         check_second(second, folder)
 
-      {:error, %Error{} = error} ->
+      {:error, error} ->
         {:error, explain_failure(error, folder)}
     end
   end
@@ -44,12 +44,10 @@ defmodule Situ.EditLog.LockCheck do
   defp check_second({:error, error}, folder), do: {:error, explain_failure(error, folder)}
 
   # A folder that cannot be written is a different problem, which the first edit reports.
-  defp explain_failure(%{why: why} = error, folder) do
-    if to_string(why) =~
-         ~r/not supported|not implemented|no locks available|enolck|enotsup|eopnotsupp|enosys/i,
-       do: no_locks_error(folder, to_string(why)),
-       else: error
-  end
+  defp explain_failure(%Error{code: :no_locks, why: why}, folder),
+    do: no_locks_error(folder, why)
+
+  defp explain_failure(error, _folder), do: error
 
   defp check_mount(folder) do
     with {:ok, mounts} <- File.read("/proc/self/mounts"),

@@ -31,7 +31,7 @@ defmodule Situ.EditLog.Versions do
     names = for %{kind: "name", note: name} <- entries, do: inspect(name)
     numbers = "0 to #{length(entries)}"
 
-    Error.new(:no_version, "there is no version #{text}",
+    Error.new(:no_version, "version #{text} does not exist",
       why: "the versions are #{Enum.join([numbers | Enum.uniq(names)], ", ")}",
       fix: "choose from these; the history lists them"
     )

@@ -36,6 +36,7 @@ defmodule Situ.Examples.Demo do
 
   alias Situ.Examples.Demo.{
     ClusterCommand,
+    CommandLine,
     ExperimentCommand,
     Options,
     Profile,
@@ -65,16 +66,11 @@ defmodule Situ.Examples.Demo do
     end
   end
 
-  defp print_usage do
-    IO.puts(@usage)
-    0
-  end
-
   defp run_talk_demo(argv) do
     case Options.parse(argv) do
       {:ok, opts} -> record_and_show(opts)
-      :help -> print_usage()
-      {:error, text} -> print_failure("#{text}\n  Fix: see bin/demo --help", 2)
+      :help -> CommandLine.print_usage(@usage)
+      {:error, text} -> CommandLine.print_usage_error(text, "bin/demo")
     end
   end
 
@@ -147,10 +143,10 @@ defmodule Situ.Examples.Demo do
         {:error, error} -> print_partial_results(error, opts)
       end
     else
-      {:error, error} -> print_failure(Exception.message(error), 1)
+      {:error, error} -> CommandLine.print_error(error)
     end
   rescue
-    error in Error -> print_failure(Exception.message(error), 1)
+    error in Error -> CommandLine.print_error(error)
   end
 
   defp show_recording(%{result: %{path: path}} = report, wall_s, truth, opts) do
@@ -159,7 +155,7 @@ defmodule Situ.Examples.Demo do
         do: record_synchronized(recording.sync, path, truth, opts),
         else: print_results(recording, report, wall_s, truth, opts)
     else
-      {:error, error} -> print_failure(Exception.message(error), 1)
+      {:error, error} -> CommandLine.print_error(error)
     end
   end
 
@@ -205,7 +201,7 @@ defmodule Situ.Examples.Demo do
       IO.puts(["Until it failed:\n", render_table(opts, recording, nil, 0.0, path)])
     end
 
-    print_failure(Exception.message(error), 1)
+    CommandLine.print_error(error)
   end
 
   defp render_table(opts, recording, score, wall_s, path, said \\ nil) do
@@ -231,12 +227,7 @@ defmodule Situ.Examples.Demo do
         Process.sleep(:infinity)
 
       {:error, error} ->
-        print_failure(Exception.message(error), 1)
+        CommandLine.print_error(error)
     end
-  end
-
-  defp print_failure(text, status) do
-    IO.puts(:stderr, "bin/demo: " <> text)
-    status
   end
 end

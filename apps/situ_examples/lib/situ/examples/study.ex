@@ -27,8 +27,7 @@ defmodule Situ.Examples.Study do
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema, Segmenting}
   alias Situ.Dataset
   alias Situ.Dataset.{Derivation, Importer, OpenSession}
-  alias Situ.Error
-  alias Situ.Examples.Demo.GroundTruth
+  alias Situ.Examples.Demo.{CommandLine, GroundTruth}
   alias Situ.Infer.{MouthShape, VoiceActivity}
 
   @output "Speech"
@@ -80,27 +79,8 @@ defmodule Situ.Examples.Study do
       headless: :boolean
     ]
 
-    case OptionParser.parse(argv, strict: switches) do
-      {opts, [], []} ->
-        if opts[:help], do: print_usage(), else: run_study(opts)
-
-      {_, [word | _], _} ->
-        print_failure(
-          "unexpected argument #{inspect(word)}\n  Fix: see bin/demo --dataset --help",
-          2
-        )
-
-      {_, _, [{switch, _} | _]} ->
-        print_failure(
-          "unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help",
-          2
-        )
-    end
-  end
-
-  defp print_usage do
-    IO.puts(@usage)
-    0
+    command = %{name: "bin/demo --dataset", usage: @usage, switches: switches}
+    CommandLine.run(argv, command, &run_study/1)
   end
 
   defp run_study(opts) do
@@ -120,18 +100,11 @@ defmodule Situ.Examples.Study do
       0
     else
       [{session, error} | _] ->
-        print_failure("session #{session}: #{Exception.message(error)}", 1)
+        CommandLine.print_failure("session #{session}: #{Exception.message(error)}")
 
       {:error, error} ->
-        print_failure(Exception.message(error), 1)
+        CommandLine.print_error(error)
     end
-  rescue
-    error in Error -> print_failure(Exception.message(error), 1)
-  end
-
-  defp print_failure(text, status) do
-    IO.puts(:stderr, "bin/demo: " <> text)
-    status
   end
 
   # Each truth file belongs to the clip before it.

@@ -21,7 +21,7 @@ defmodule Situ.Experiment.Runner do
     Trial
   }
 
-  alias Situ.Metric.Measurement
+  alias Situ.Metric.{Measurement, StoredMetric}
 
   @options [
     sessions: [type: {:fun, 1}, doc: "A function that returns whether a session takes part."],
@@ -133,17 +133,8 @@ defmodule Situ.Experiment.Runner do
 
   # The report needs no code of the experiment.
   defp describe_metrics(module) do
-    for {name, metric} <- module.metrics() do
-      metric = Measurement.wrap_function(metric)
-      better = Map.put_new(metric.better, metric.main, Metric.direction(metric, metric.main))
-
-      %{
-        "name" => to_string(name),
-        "score" => metric.score |> Module.split() |> List.last(),
-        "main" => metric.main,
-        "better" => Map.new(better, fn {value, direction} -> {value, to_string(direction)} end)
-      }
-    end
+    for {name, metric} <- module.metrics(),
+        do: StoredMetric.to_json(name, Measurement.wrap_function(metric))
   end
 
   defp count_trials(%{opts: opts, sets: sets, sessions: sessions}) do

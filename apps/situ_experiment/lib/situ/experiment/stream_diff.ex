@@ -64,7 +64,7 @@ defmodule Situ.Experiment.StreamDiff do
       a.originating_time != b.originating_time ->
         "message #{n} is at #{format_time(b)} instead of #{format_time(a)}"
 
-      equal?(a.data, b.data, tolerance) ->
+      same_value?(a.data, b.data, tolerance) ->
         nil
 
       true ->
@@ -74,21 +74,26 @@ defmodule Situ.Experiment.StreamDiff do
 
   defp format_time(message), do: Situ.Time.to_iso8601(message.originating_time)
 
-  defp equal?(a, b, nil), do: a === b
-  defp equal?(a, b, tolerance) when is_number(a) and is_number(b), do: abs(a - b) <= tolerance
+  defp same_value?(a, b, nil), do: a === b
 
-  defp equal?(a, b, tolerance) when is_struct(a) and is_struct(b),
-    do: a.__struct__ == b.__struct__ and equal?(Map.from_struct(a), Map.from_struct(b), tolerance)
+  defp same_value?(a, b, tolerance) when is_number(a) and is_number(b),
+    do: abs(a - b) <= tolerance
 
-  defp equal?(a, b, tolerance) when is_map(a) and is_map(b) do
-    Map.keys(a) == Map.keys(b) and Enum.all?(a, fn {key, x} -> equal?(x, b[key], tolerance) end)
+  defp same_value?(a, b, tolerance) when is_struct(a) and is_struct(b),
+    do:
+      a.__struct__ == b.__struct__ and
+        same_value?(Map.from_struct(a), Map.from_struct(b), tolerance)
+
+  defp same_value?(a, b, tolerance) when is_map(a) and is_map(b) do
+    Map.keys(a) == Map.keys(b) and
+      Enum.all?(a, fn {key, x} -> same_value?(x, b[key], tolerance) end)
   end
 
-  defp equal?(a, b, tolerance) when is_tuple(a) and is_tuple(b),
-    do: equal?(Tuple.to_list(a), Tuple.to_list(b), tolerance)
+  defp same_value?(a, b, tolerance) when is_tuple(a) and is_tuple(b),
+    do: same_value?(Tuple.to_list(a), Tuple.to_list(b), tolerance)
 
-  defp equal?([x | a], [y | b], tolerance),
-    do: equal?(x, y, tolerance) and equal?(a, b, tolerance)
+  defp same_value?([x | a], [y | b], tolerance),
+    do: same_value?(x, y, tolerance) and same_value?(a, b, tolerance)
 
-  defp equal?(a, b, _tolerance), do: a === b
+  defp same_value?(a, b, _tolerance), do: a === b
 end

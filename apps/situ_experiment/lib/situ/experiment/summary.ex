@@ -4,30 +4,7 @@ defmodule Situ.Experiment.Summary do
   # of two sets. It needs the files of the run, not the code of the experiment.
   alias Situ.{Error, Metric}
   alias Situ.Experiment.ResultsFile
-  alias Situ.Metric.Statistics
-
-  alias Situ.Metric.{
-    ClassScore,
-    DetectionScore,
-    IntervalScore,
-    MeanScore,
-    RegressionScore,
-    TrackScore,
-    WordScore
-  }
-
-  @scores Map.new(
-            [
-              ClassScore,
-              DetectionScore,
-              IntervalScore,
-              MeanScore,
-              RegressionScore,
-              TrackScore,
-              WordScore
-            ],
-            &{&1 |> Module.split() |> List.last(), &1}
-          )
+  alias Situ.Metric.{Statistics, StoredMetric}
 
   @type metric_row :: %{
           value: number() | nil,
@@ -67,7 +44,7 @@ defmodule Situ.Experiment.Summary do
   end
 
   defp summarize_metric(description, results, seed) do
-    metric = restore_metric(description)
+    metric = StoredMetric.from_json(description)
     measured = for r <- results, c = counts_of(r, description), do: {r["session"], c}
     counts = Enum.map(measured, &elem(&1, 1))
     values = Metric.summarize(metric, counts)
@@ -85,18 +62,9 @@ defmodule Situ.Experiment.Summary do
 
   defp main_statistic(metric), do: &Metric.summarize(metric, &1)[metric.main]
 
-  defp restore_metric(description) do
-    better = Map.new(description["better"], fn {value, d} -> {value, parse_direction(d)} end)
-    score = Map.get(@scores, description["score"], MeanScore)
-    %Metric{kind: :stored, score: score, main: description["main"], better: better}
-  end
-
-  defp parse_direction("lower"), do: :lower
-  defp parse_direction(_), do: :higher
-
   # Sets that ran over fewer sessions, because a search dropped them, come after the others.
   defp sort_rows(rows, [%{"name" => name} = first | _]) do
-    sign = if parse_direction(first["better"][first["main"]]) == :lower, do: 1, else: -1
+    sign = if first["better"][first["main"]] == "lower", do: 1, else: -1
 
     Enum.sort_by(rows, fn row ->
       value = row.metrics[name].value
@@ -142,7 +110,7 @@ defmodule Situ.Experiment.Summary do
   end
 
   defp compare_metric(description, a, b, seed) do
-    metric = restore_metric(description)
+    metric = StoredMetric.from_json(description)
 
     pairs =
       for {session, x} <- Enum.sort(a),

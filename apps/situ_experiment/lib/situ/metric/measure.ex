@@ -17,8 +17,9 @@ defmodule Situ.Metric.Measure do
   @doc "Merges measurements of a metric's module; the list must not be empty."
   @spec merge_all(module(), [counts()]) :: counts()
   def merge_all(module, [first | rest]) do
+    # A stored metric may be the first use of its module.
     merge =
-      if function_exported?(module, :merge_counts, 2),
+      if Code.ensure_loaded?(module) and function_exported?(module, :merge_counts, 2),
         do: &module.merge_counts/2,
         else: fn a, b -> Map.merge(a, b, fn _, x, y -> x + y end) end
 

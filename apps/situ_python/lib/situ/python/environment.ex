@@ -79,7 +79,7 @@ defmodule Situ.Python.Environment do
     config.log.("making a Python environment in #{folder}, once")
 
     result =
-      with :ok <- run_steps(steps(config.uv, interpreter, unfinished, list), config),
+      with :ok <- run_steps(list_steps(config.uv, interpreter, unfinished, list), config),
            do: rename(unfinished, folder)
 
     _ = if is_list(requirements), do: File.rm(list)
@@ -99,7 +99,7 @@ defmodule Situ.Python.Environment do
 
   defp write_list(path, _text, _unfinished), do: Path.expand(path)
 
-  defp steps(nil, interpreter, folder, list) do
+  defp list_steps(nil, interpreter, folder, list) do
     pip = ["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off"]
 
     [
@@ -108,7 +108,7 @@ defmodule Situ.Python.Environment do
     ]
   end
 
-  defp steps(uv, interpreter, folder, list) do
+  defp list_steps(uv, interpreter, folder, list) do
     [
       {uv, ["venv", "--python", interpreter, folder]},
       {uv, ["pip", "install", "--python", interpreter_path(folder), "-r", list]}
@@ -144,7 +144,7 @@ defmodule Situ.Python.Environment do
     after
       @silence ->
         Port.close(port)
-        {127, LogLines.last_lines(lines) <> "\nthere was no output for #{@silence} ms"}
+        {127, LogLines.last_lines(lines) <> "\nno output for #{div(@silence, 1000)} seconds"}
     end
   end
 

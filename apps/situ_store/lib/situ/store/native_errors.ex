@@ -20,6 +20,14 @@ defmodule Situ.Store.NativeErrors do
     )
   end
 
+  # ENOLCK, ENOSYS and EOPNOTSUPP.
+  def to_error({:io, "lock", errno, why}, path, _stream) when errno in [37, 38, 95] do
+    Error.new(:no_locks, "cannot lock #{path}: its file system has no working locks",
+      why: why,
+      fix: "use a local disk, or mount the file system with locks"
+    )
+  end
+
   def to_error({:io, what, _errno, why}, path, _stream) do
     Error.new(:io, "could not #{what} in #{path}", why: why)
   end

@@ -52,21 +52,23 @@ defmodule Situ.CLI.Annotate.LayerVersions do
         arguments: [path: path_argument(), version: HistoryTable.version_argument("the version")],
         options: layer_options(),
         examples: ["situ annotate restore study.json 'first pass' --session p01"],
-        run: fn args, opts -> change(args.path, opts, &History.restore(&1, args.version)) end
+        run: fn args, opts ->
+          change_layer(args.path, opts, &History.restore(&1, args.version))
+        end
       },
       %Verb{
         words: ["annotate", "undo"],
         summary: "undo your last edit of annotations",
         arguments: [path: path_argument()],
         options: layer_options(),
-        run: fn args, opts -> change(args.path, opts, &History.undo/1) end
+        run: fn args, opts -> change_layer(args.path, opts, &History.undo/1) end
       },
       %Verb{
         words: ["annotate", "redo"],
         summary: "redo the edit of annotations that you undid last",
         arguments: [path: path_argument()],
         options: layer_options(),
-        run: fn args, opts -> change(args.path, opts, &History.redo/1) end
+        run: fn args, opts -> change_layer(args.path, opts, &History.redo/1) end
       }
     ]
   end
@@ -96,7 +98,7 @@ defmodule Situ.CLI.Annotate.LayerVersions do
     0
   end
 
-  defp change(path, opts, fun) do
+  defp change_layer(path, opts, fun) do
     layer = Error.unwrap!(fun.(find_layer(path, opts)))
     count = length(Layer.annotations(layer))
 
@@ -126,7 +128,7 @@ defmodule Situ.CLI.Annotate.LayerVersions do
   defp choose_stream!([one], nil), do: one
 
   defp choose_stream!([], _stream) do
-    raise Error.new(:no_layer, "there is no layer of annotations that can be edited",
+    raise Error.new(:no_layer, "the recording has no annotations that can be edited",
             fix: "create one in the studio or with `situ annotate import`"
           )
   end
@@ -142,7 +144,7 @@ defmodule Situ.CLI.Annotate.LayerVersions do
       do: name,
       else:
         raise(
-          Error.new(:no_layer, "there is no layer #{inspect(name)}",
+          Error.new(:no_layer, "layer #{inspect(name)} does not exist",
             fix: "choose from: #{Enum.join(names, ", ")}"
           )
         )

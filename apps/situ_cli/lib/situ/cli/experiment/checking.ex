@@ -120,7 +120,7 @@ defmodule Situ.CLI.Experiment.Checking do
 
     Terminal.close(terminal)
     if opts[:json], do: Output.print_json(report_json(report)), else: print_report(report)
-    if equal?(report), do: 0, else: 1
+    if reproduced?(report), do: 0, else: 1
   end
 
   defp experiment_source!(run) do
@@ -130,7 +130,8 @@ defmodule Situ.CLI.Experiment.Checking do
             )
   end
 
-  defp equal?(report), do: Enum.all?(report.outcomes, &(&1.differences == [] and &1.error == nil))
+  defp reproduced?(report),
+    do: Enum.all?(report.outcomes, &(&1.differences == [] and &1.error == nil))
 
   defp print_report(report) do
     if report.changes != [],
@@ -141,7 +142,7 @@ defmodule Situ.CLI.Experiment.Checking do
       for {stream, why} <- outcome.differences, do: Output.puts("#{session}: #{stream}: #{why}")
     end
 
-    if equal?(report),
+    if reproduced?(report),
       do:
         Output.puts(
           "Set #{report.set}: all streams of #{Output.format_count(length(report.outcomes), "session")} are equal"
@@ -158,6 +159,6 @@ defmodule Situ.CLI.Experiment.Checking do
         }
       end
 
-    %{set: report.set, equal: equal?(report), changes: report.changes, sessions: sessions}
+    %{set: report.set, equal: reproduced?(report), changes: report.changes, sessions: sessions}
   end
 end

@@ -1,6 +1,7 @@
 defmodule Situ.CLI.Experiment.Loading do
   @moduledoc false
   # Finds the experiment, the dataset and the run that the verbs of `situ experiment` name.
+  alias Situ.CLI.SourceFile
   alias Situ.{Dataset, Error, Expression}
   alias Situ.Experiment.RunRecord
 
@@ -16,9 +17,8 @@ defmodule Situ.CLI.Experiment.Loading do
     if Path.extname(name) in [".ex", ".exs"], do: load_file(name), else: load_module(name)
   end
 
-  # Compiling is safe here, because the user named the file; nothing else is ever compiled.
   defp load_file(file) do
-    binaries = Map.new(compile_file(file))
+    binaries = Map.new(SourceFile.compile_file!(file))
 
     case Enum.filter(Map.keys(binaries), &experiment?/1) do
       [module] ->
@@ -60,14 +60,6 @@ defmodule Situ.CLI.Experiment.Loading do
   defp experiment?(module) do
     Code.ensure_loaded?(module) and function_exported?(module, :build, 3) and
       function_exported?(module, :parameters, 0) and function_exported?(module, :metrics, 0)
-  end
-
-  defp compile_file(file) do
-    Code.compile_file(file)
-  rescue
-    error in [CompileError, SyntaxError, TokenMissingError, Code.LoadError] ->
-      reraise Error.new(:not_compiled, "#{file} cannot be compiled", why: Exception.message(error)),
-              __STACKTRACE__
   end
 
   @doc "Opens the dataset of an experiment, which must be a dataset file."

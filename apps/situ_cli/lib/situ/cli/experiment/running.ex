@@ -2,8 +2,7 @@ defmodule Situ.CLI.Experiment.Running do
   @moduledoc false
   # `situ experiment run`: runs an experiment with a status line, and ends it properly at Ctrl-C.
   alias Situ.CLI.Experiment.{Loading, Viewing}
-  alias Situ.CLI.{Output, Terminal}
-  alias Situ.CLI.Run.Interrupt
+  alias Situ.CLI.{Interrupt, Output, Terminal}
   alias Situ.Experiment.{RunRecord, Runner}
   alias Situ.{Dataset, Error, Time}
 

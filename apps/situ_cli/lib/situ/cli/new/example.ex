@@ -58,7 +58,7 @@ defmodule Situ.CLI.New.Example do
     near = Options.nearest_name(example, list_names())
     hint = if near, do: "did you mean #{near}? ", else: ""
 
-    Error.new(:no_example, "there is no example #{inspect(example)}",
+    Error.new(:no_example, "example #{inspect(example)} does not exist",
       fix: hint <> "The examples are: #{Enum.join(list_names(), ", ")}"
     )
   end

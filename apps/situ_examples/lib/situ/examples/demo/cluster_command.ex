@@ -22,12 +22,13 @@ defmodule Situ.Examples.Demo.ClusterCommand do
   #{@usage}
   ```
   """
-  alias Situ.Examples.Demo.Options
+  alias Situ.Examples.Demo.{CommandLine, Options}
   alias Situ.Examples.MultimodalVoiceActivity
   alias Situ.{Cluster, Error, Store}
 
   @parts %{"lips" => "MouthShape", "sound" => "VoiceActivity", "recording" => "rest"}
   @minutes 10
+  @name "bin/demo --cluster"
 
   @doc """
   Runs the demo and returns the exit status. `record` runs the same job on one machine
@@ -41,23 +42,8 @@ defmodule Situ.Examples.Demo.ClusterCommand do
   def run(argv, record) do
     switches = [cluster: :boolean, input: :string, out: :string, kill: :string]
     switches = [headless: :boolean, help: :boolean] ++ switches
-    argv = argv -- ["--"]
-
-    case OptionParser.parse(argv, strict: switches, aliases: [h: :help]) do
-      {_, _, [{switch, _} | _]} -> print_usage_error("unknown or incomplete option #{switch}")
-      {_, [extra | _], _} -> print_usage_error("unexpected argument #{extra}")
-      {opts, [], []} -> if opts[:help], do: print_usage(), else: validate_and_run(opts, record)
-    end
-  end
-
-  defp print_usage do
-    IO.puts(@usage)
-    0
-  end
-
-  defp print_usage_error(text) do
-    IO.puts(:stderr, "#{text}\n  Fix: see bin/demo --cluster --help")
-    2
+    command = %{name: @name, usage: @usage, switches: switches}
+    CommandLine.run(argv, command, &validate_and_run(&1, record))
   end
 
   defp validate_and_run(opts, record) do
@@ -67,10 +53,10 @@ defmodule Situ.Examples.Demo.ClusterCommand do
 
     cond do
       kill != "none" and not is_map_key(@parts, kill) ->
-        print_usage_error("--kill #{kill}: no such part")
+        CommandLine.print_usage_error("--kill #{kill}: no such part", @name)
 
       not File.regular?(input) ->
-        print_usage_error("cannot find the file #{input}")
+        CommandLine.print_usage_error("cannot find the file #{input}", @name)
 
       true ->
         run_and_compare(input, out, kill, record)

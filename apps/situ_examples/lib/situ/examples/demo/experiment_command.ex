@@ -19,8 +19,8 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
   #{@usage}
   ```
   """
-  alias Situ.Error
   alias Situ.Examples.{ClipVariants, WhoSpeaksExperiment}
+  alias Situ.Examples.Demo.CommandLine
   alias Situ.Experiment.{RunRecord, Summary}
 
   @switches [experiment: :boolean, out: :string, jobs: :integer, json: :boolean, help: :boolean]
@@ -28,29 +28,8 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
   @doc "Runs the demo and returns the exit status."
   @spec run([String.t()]) :: 0..255
   def run(argv) do
-    case OptionParser.parse(argv, strict: @switches) do
-      {opts, [], []} ->
-        if opts[:help], do: print_usage(), else: run_experiment(opts)
-
-      {_, [word | _], _} ->
-        print_failure(
-          "unexpected argument #{inspect(word)}\n  Fix: see bin/demo --experiment --help",
-          2
-        )
-
-      {_, _, [{switch, _} | _]} ->
-        print_failure(
-          "unknown or incomplete option #{switch}\n  Fix: see bin/demo --experiment --help",
-          2
-        )
-    end
-  rescue
-    error in Error -> print_failure(Exception.message(error), 1)
-  end
-
-  defp print_usage do
-    IO.puts(@usage)
-    0
+    command = %{name: "bin/demo --experiment", usage: @usage, switches: @switches}
+    CommandLine.run(argv, command, &run_experiment/1)
   end
 
   defp run_experiment(opts) do
@@ -59,7 +38,7 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
 
     case ClipVariants.create_dataset(list_clips(), folder) do
       {:ok, dataset} -> tune_parameters(dataset, opts)
-      {:error, error} -> print_failure(Exception.message(error), 1)
+      {:error, error} -> CommandLine.print_error(error)
     end
   end
 
@@ -71,7 +50,8 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
   end
 
   defp tune_parameters(dataset, opts) do
-    unless opts[:json], do: IO.puts("#{length(dataset.sessions)} sessions: #{dataset.file}")
+    json? = opts[:json] == true
+    unless json?, do: IO.puts("#{length(dataset.sessions)} sessions: #{dataset.file}")
 
     argv = [
       "experiment",
@@ -82,12 +62,10 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
       "#{opts[:jobs] || 2}"
     ]
 
-    argv = argv ++ ["--top", "8"] ++ if(opts[:json], do: ["--json"], else: [])
+    argv = argv ++ ["--top", "8"] ++ if(json?, do: ["--json"], else: [])
 
-    case Situ.CLI.run(argv) do
-      0 -> unless(opts[:json], do: compare_with_default(dataset)) || 0
-      status -> status
-    end
+    status = Situ.CLI.run(argv)
+    if status == 0 and not json?, do: compare_with_default(dataset), else: status
   end
 
   # One set contains the defaults of `Situ.Infer.who_speaks/3`.
@@ -105,11 +83,6 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
       Situ.CLI.run(["experiment", "compare", dataset.file, "#{default.number}", "#{best.number}"])
 
     IO.puts("\nNext: bin/situ experiment show #{dataset.file} --html report.html")
-    status
-  end
-
-  defp print_failure(text, status) do
-    IO.puts(:stderr, "bin/demo: " <> text)
     status
   end
 end

@@ -23,6 +23,7 @@ defmodule Situ.Examples.Demo.SceneCommand do
   ```
   """
   alias Situ.{Error, Store}
+  alias Situ.Examples.Demo.CommandLine
   alias Situ.Examples.Scene
 
   @switches [
@@ -41,25 +42,8 @@ defmodule Situ.Examples.Demo.SceneCommand do
   @doc "Runs the demo and returns the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
-    argv = if List.first(argv) == "--", do: tl(argv), else: argv
-
-    case OptionParser.parse(argv, strict: @switches, aliases: [h: :help]) do
-      {_, _, [{switch, _} | _]} ->
-        print_failure("unknown or incomplete option #{switch}\n  Fix: see --scene --help", 2)
-
-      {_, [extra | _], _} ->
-        print_failure("unexpected argument #{extra}", 2)
-
-      {opts, [], []} ->
-        if opts[:help], do: print_usage(), else: record_and_serve(opts)
-    end
-  rescue
-    error in Error -> print_failure(Exception.message(error), 1)
-  end
-
-  defp print_usage do
-    IO.puts(@usage)
-    0
+    command = %{name: "bin/demo --scene", usage: @usage, switches: @switches}
+    CommandLine.run(argv, command, &record_and_serve/1)
   end
 
   @doc """
@@ -92,7 +76,7 @@ defmodule Situ.Examples.Demo.SceneCommand do
         if opts[:headless], do: 0, else: serve_studio(path, opts)
 
       {:error, error} ->
-        print_failure(Exception.message(error), 1)
+        CommandLine.print_error(error)
     end
   end
 
@@ -139,12 +123,7 @@ defmodule Situ.Examples.Demo.SceneCommand do
         Process.sleep(:infinity)
 
       {:error, error} ->
-        print_failure(Exception.message(error), 1)
+        CommandLine.print_error(error)
     end
-  end
-
-  defp print_failure(text, status) do
-    IO.puts(:stderr, "bin/demo: " <> text)
-    status
   end
 end

@@ -44,7 +44,7 @@ defmodule Situ.Studio.Layout.SignalRange do
     Enum.reduce(streams, [], fn stream, groups ->
       range = ranges[name_of.(stream)]
 
-      case Enum.find_index(groups, fn {members, _} -> similar?(range, members) end) do
+      case Enum.find_index(groups, fn {members, _} -> similar_range?(range, members) end) do
         nil -> groups ++ [{List.wrap(range), [stream]}]
         i -> List.update_at(groups, i, fn {r, s} -> {List.wrap(range) ++ r, s ++ [stream]} end)
       end
@@ -52,9 +52,9 @@ defmodule Situ.Studio.Layout.SignalRange do
     |> Enum.map(&elem(&1, 1))
   end
 
-  defp similar?(nil, members), do: members == []
+  defp similar_range?(nil, members), do: members == []
 
-  defp similar?(range, members) do
+  defp similar_range?(range, members) do
     all = [range | members]
     {lows, highs} = Enum.unzip(all)
     whole = Enum.max(highs) - Enum.min(lows)

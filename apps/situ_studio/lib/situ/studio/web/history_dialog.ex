@@ -15,7 +15,7 @@ defmodule Situ.Studio.Web.HistoryDialog do
   @doc "Handles the events of the dialog on a dataset's page."
   @spec handle_dataset(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_dataset("history_dialog", _params, socket) do
-    show(
+    show_entries(
       socket,
       Dataset.History.list(Server.get_dataset(socket.assigns.server)),
       "history_restore"
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Web.HistoryDialog do
   def handle_layer("annotation_history", _params, %{assigns: %{annotation: %{}}} = socket) do
     %{item: item, annotation: %{stream: stream}} = socket.assigns
     layer = {Home.find_store(item.layers, stream), stream}
-    show(socket, Situ.Annotation.History.list(layer), "annotation_history_restore")
+    show_entries(socket, Situ.Annotation.History.list(layer), "annotation_history_restore")
   end
 
   def handle_layer(
@@ -74,12 +74,13 @@ defmodule Situ.Studio.Web.HistoryDialog do
 
   defp describe_done(_), do: "Your last edit is undone"
 
-  defp show(socket, {:ok, entries}, restore) do
+  defp show_entries(socket, {:ok, entries}, restore) do
     latest = entries |> Enum.reverse() |> Enum.take(@most)
     assign(socket, dialog: {:history, latest, restore})
   end
 
-  defp show(socket, {:error, error}, _restore), do: show_toast(socket, Exception.message(error))
+  defp show_entries(socket, {:error, error}, _restore),
+    do: show_toast(socket, Exception.message(error))
 
   defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 

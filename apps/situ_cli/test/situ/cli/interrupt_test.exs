@@ -1,7 +1,7 @@
-defmodule Situ.CLI.Run.InterruptTest do
+defmodule Situ.CLI.InterruptTest do
   # The VM has one handler of signals.
   use ExUnit.Case
-  alias Situ.CLI.Run.Interrupt
+  alias Situ.CLI.Interrupt
 
   defp handlers, do: :erl_signal_server |> :gen_event.which_handlers() |> Enum.sort()
 

@@ -1,4 +1,4 @@
-defmodule Situ.CLI.Run.Interrupt do
+defmodule Situ.CLI.Interrupt do
   @moduledoc false
   # Turns SIGTERM into a message, so that a pipeline can deliver its last messages and close its recordings. The script
   # bin/situ sends SIGTERM for Ctrl-C as well, because the VM cannot handle SIGINT.
