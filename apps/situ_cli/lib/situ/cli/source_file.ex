@@ -1,6 +1,6 @@
 defmodule Situ.CLI.SourceFile do
   @moduledoc false
-  # Compiles an Elixir file that the user names on the command line. This is safe, because nothing else is ever compiled.
+  # Compiles an Elixir file that the user names on the command line, which is safe: nothing else is ever compiled.
   alias Situ.Error
 
   @doc "Compiles a file and returns its modules with their code. Raises an error that shows what the compiler says."
