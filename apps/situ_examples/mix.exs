@@ -23,6 +23,6 @@ defmodule Situ.Examples.MixProject do
   end
 
   def application do
-    Situ.MixApp.application()
+    Situ.MixApp.application([], env: [sample_recordings: [Situ.Examples.TalkSample]])
   end
 end

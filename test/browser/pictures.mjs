@@ -4,10 +4,10 @@ import { chromium } from "playwright-core";
 import { spawn } from "node:child_process";
 import { join } from "node:path";
 import { answer, dispatch, open, settled, state } from "./studio_page.mjs";
-import { until } from "./harness.mjs";
+import { hideHints, until } from "./harness.mjs";
 
 const [site, to, only = ""] = process.argv.slice(2);
-const { demo, main, shown } = JSON.parse(site);
+const { demo, main, shown, start } = JSON.parse(site);
 const S = 1e9;
 
 const recording = async (page) => {
@@ -150,6 +150,11 @@ const PICTURES = {
     await recording(page);
     await page.keyboard.press("?");
   },
+  start: async (page) => {
+    await page.setViewportSize({ width: 1100, height: 560 });
+    await page.goto(start);
+    await page.waitForSelector("#start[open]");
+  },
   settings: async (page) => {
     await page.goto(`${demo}/settings`);
     await until(page, () => document.querySelectorAll(".keys .btn").length > 40, "the keys");
@@ -185,6 +190,7 @@ const browser = await chromium.launch({
 for (const [name, show] of Object.entries(PICTURES)) {
   if (!name.includes(only)) continue;
   const context = await browser.newContext({ viewport: { width: 1440, height: 810 }, colorScheme: "dark" });
+  await hideHints(context);
   const page = await context.newPage();
   await show(page);
   await page.evaluate(() => document.getElementById("toast")?.classList.remove("on"));

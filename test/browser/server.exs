@@ -280,6 +280,15 @@ SessionFixture.create(studied_folder, folder)
     public: "https://localhost:#{proxy_port}/lab/studio"
   )
 
+# A studio of an empty folder, and a server of recordings that it can connect to.
+{:ok, _} = Application.ensure_all_started(:situ_link)
+:ok = Application.load(:situ_examples)
+begun = Path.join([work, "start", "recordings"])
+File.mkdir_p!(begun)
+{:ok, start} = Situ.Studio.start_link(id: "start", port: 0, path: begun, layouts: layouts)
+served = %{"hall" => Path.join(folder, "minute.0000")}
+{:ok, linked} = Situ.Link.serve(served, port: 0, token: "the-token-of-the-link")
+
 # Two pipelines whose sensor is a page. The second one accepts no images.
 sensed = Path.join(work, "sensor.json")
 SensorFixture.start(sensed)
@@ -318,6 +327,8 @@ IO.puts(
     Situ.JSON.encode(%{
       "main" => base.(main),
       "mapped" => base.(mapped),
+      "start" => base.(start),
+      "linked" => "situ://127.0.0.1:#{Situ.Link.Server.port(linked)}",
       "studied" => base.(studied),
       "studied_folder" => studied_folder,
       "guarded" => Situ.Studio.url(guarded),

@@ -1,5 +1,6 @@
 // Runs all browser tests of the studio, in this order.
 import { runAll } from "./harness.mjs";
+import "./start_tests.mjs";
 import "./page_tests.mjs";
 import "./timeline_tests.mjs";
 import "./picture_tests.mjs";

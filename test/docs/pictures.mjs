@@ -1,5 +1,6 @@
 // Takes the pictures of the guides from the studio of pictures.exs: node pictures.mjs ADDRESS FOLDER.
 import { chromium } from "../browser/node_modules/playwright-core/index.mjs";
+import { hideHints } from "../browser/harness.mjs";
 
 const [address, folder] = process.argv.slice(2);
 const PICTURES = {
@@ -35,6 +36,7 @@ const browser = await chromium.launch({
 for (const [name, show] of Object.entries(PICTURES)) {
   if (!name.includes(process.argv[4] ?? "")) continue;
   const page = await browser.newPage({ viewport: { width: 1100, height: 620 }, colorScheme: "dark" });
+  await hideHints(page);
   await show(page);
   await page.waitForTimeout(1500);
   await page.screenshot({ path: `${folder}/guide-${name}.png` });

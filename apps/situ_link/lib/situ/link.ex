@@ -70,6 +70,7 @@ defmodule Situ.Link do
   alias Situ.{Delivery, Error, Options, Pipeline}
 
   alias Situ.Link.{
+    Access,
     Address,
     ConfirmComponent,
     Connection,
@@ -79,7 +80,7 @@ defmodule Situ.Link do
     Source
   }
 
-  alias Situ.Link.Wire.Handshake
+  alias Situ.Link.Wire.{Dialer, Handshake}
   alias Situ.Link.Server.RecordingVersions
   alias Situ.Store.{Folder, TypeName}
 
@@ -386,6 +387,24 @@ defmodule Situ.Link do
     [Connection.link_info(pid)]
   catch
     :exit, _ -> []
+  end
+
+  @doc """
+  Returns the addresses of the recordings of a server (`situ://lab1`), sorted. An address that names a recording is
+  returned as it is. `opts` are `:token` and `:tls`, see "Recordings on other machines" above.
+
+  Errors: `:bad_address`, `:unreachable`, `:no_link` (the server is something else), `:wrong_token`.
+  """
+  @spec list_recordings(String.t(), keyword()) :: {:ok, [String.t()]} | {:error, Error.t()}
+  def list_recordings(address, opts \\ []) do
+    with {:ok, %{name: ""} = parsed} <- Address.parse(address),
+         {:ok, access} <- Access.new(parsed, opts),
+         {:ok, names} <- Dialer.list_recordings(parsed, access) do
+      {:ok, for(name <- Enum.sort(names), do: Address.to_string(%{parsed | name: name}))}
+    else
+      {:ok, %Address{}} -> {:ok, [address]}
+      {:error, error} -> {:error, error}
+    end
   end
 
   @doc """

@@ -20,6 +20,7 @@ import { copyViewerLink } from "./page/viewer_link.js";
 import { showToast } from "./page/toast.js";
 import { SharedCursors } from "./page/shared_cursors.js";
 import { rememberPage } from "./page/recent.js";
+import { showHintsOnce } from "./page/hints.js";
 import { showTimes } from "./page/times.js";
 import { focusedElement, getElement } from "./page/dom.js";
 
@@ -71,6 +72,7 @@ const hooks = {
       app.options.push = (event, payload) =>
         this.pushEvent(event, payload)?.catch?.(() => showToast("The server is not responding: nothing was changed"));
       rememberPage();
+      showHintsOnce();
       // asks before leaving a named layout with unsaved changes, if the settings say so
       this.leaving = (e) => this.el.dataset.keep === "ask" && this.el.dataset.edit && e.preventDefault();
       addEventListener("beforeunload", this.leaving);

@@ -5,9 +5,8 @@ defmodule Situ.Link.Recording do
   # See docs/adr/0115-remote-recordings-answer-requests.md.
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
-  alias Situ.Error
+  alias Situ.{Error, Link}
   alias Situ.Link.{Access, Address}
-  alias Situ.Link.Wire.Dialer
   alias Situ.Link.Recording.{ReplyDecoder, Client}
   alias Situ.Store.StreamInfo
 
@@ -31,17 +30,10 @@ defmodule Situ.Link.Recording do
          do: {:ok, %{state | version: info[:version]}}
   end
 
-  # Lists the addresses of a server's recordings. An address that already has a name is returned unchanged.
+  # The addresses of a server that does not answer are not known.
   @impl true
   def list_recordings(text) do
-    with {:ok, %{name: ""} = address} <- Address.parse(text),
-         {:ok, access} <- Access.new(address, []),
-         {:ok, names} <- Dialer.list_recordings(address, access) do
-      for name <- Enum.sort(names), do: Address.to_string(%{address | name: name})
-    else
-      {:ok, %Address{}} -> [text]
-      {:error, _} -> []
-    end
+    with {:error, _} <- Link.list_recordings(text), do: [], else: ({:ok, addresses} -> addresses)
   end
 
   @impl true

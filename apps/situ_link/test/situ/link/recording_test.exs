@@ -132,6 +132,8 @@ defmodule Situ.Link.RecordingTest do
            ]
 
     assert Situ.Recording.Formats.list_recordings(whole <> "/lobby") == [whole <> "/lobby"]
+    assert Link.list_recordings(whole) == {:ok, [whole <> "/hall", whole <> "/lobby"]}
+    assert Link.list_recordings(whole <> "/lobby") == {:ok, [whole <> "/lobby"]}
   end
 
   test "a version remains as it was opened, and another has its own address", %{
@@ -197,6 +199,14 @@ defmodule Situ.Link.RecordingTest do
       assert what == ~s(no stream "x" in lobby.0000)
     end)
 
+    capture_log(fn ->
+      whole = "situ://127.0.0.1:#{Server.port(server)}"
+      assert {:error, %{code: :wrong_token}} = Link.list_recordings(whole)
+      assert Link.list_recordings(whole, token: "s3cret") == {:ok, [whole <> "/lobby"]}
+    end)
+
+    assert {:error, %{code: :unreachable}} = Link.list_recordings("situ+unix://#{root}/nobody")
+    assert {:error, %{code: :bad_address}} = Link.list_recordings("http://lab1")
     assert {:error, %{code: :unreachable}} = Store.open("situ+unix://#{root}/nobody?lobby")
     assert {:error, %{code: :bad_address}} = Store.open("situs://lab1/lobby?fingerprint=12")
     assert {:error, %{code: :no_store}} = Store.delete(address(server))

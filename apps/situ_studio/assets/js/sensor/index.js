@@ -2,7 +2,7 @@
 import { Clock } from "../device/clock.js";
 import { connectSocket } from "../device/connection.js";
 import { DevicePage } from "../device/page.js";
-import { getElement } from "../page/dom.js";
+import { findElement, getElement } from "../page/dom.js";
 import { Camera } from "./camera.js";
 import { Microphone } from "./microphone.js";
 import { Player } from "./player.js";
@@ -59,6 +59,16 @@ async function startSensor() {
   if (audio) page.addPart(await Microphone.start(stream, socket, state));
   for (const track of stream.getTracks()) track.onended = () => page.stop("The device was disconnected.");
   page.showRunning();
+  showRecording();
+}
+
+// The start page of the studio names the recording that it has begun for this page.
+function showRecording() {
+  const recording = new URLSearchParams(location.search).get("recording");
+  if (!recording) return;
+  const box = getElement("recording");
+  findElement(box, "a", HTMLAnchorElement).href = `s/${recording.split("/").map(encodeURIComponent).join("/")}`;
+  box.hidden = false;
 }
 
 if (!navigator.mediaDevices) {

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Catalog do
   alias Situ.{Dataset, Error}
   alias Situ.Studio.Annotations.Home
   alias Situ.Studio.Datasets.DatasetRef
-  alias Situ.Studio.{Layouts, Stores, StreamReader, Recordings}
+  alias Situ.Studio.{Layouts, RemoteItems, Stores, StreamReader, Recordings}
 
   # The maximum age of the list of recordings.
   @fresh_ms 2_000
@@ -79,6 +79,26 @@ defmodule Situ.Studio.Catalog do
     settings
   end
 
+  @doc "Returns the folder that new recordings and datasets may be written to, or `:error`."
+  @spec writable_folder(id()) :: {:ok, Path.t()} | :error
+  def writable_folder(id) do
+    with %{read_only: false, path: path} when is_binary(path) <- settings(id),
+         true <- File.dir?(path) and not Situ.Store.exists?(path),
+         do: {:ok, path},
+         else: (_ -> :error)
+  end
+
+  @doc """
+  Adds recordings on another machine to the list until the studio ends: the recordings of a server
+  (`situ://lab1`), or one of them (`situ://lab1/lobby`). Returns their ids. The errors are those of the link.
+  """
+  @spec connect(id(), String.t(), token :: String.t()) ::
+          {:ok, [String.t()]} | {:error, Error.t()}
+  def connect(id, address, token) do
+    with {:ok, items} <- RemoteItems.find_items(address, token),
+         do: GenServer.call(via(id), {:connect, items}, 30_000)
+  end
+
   @doc "Returns all items that can be opened now."
   @spec list(id()) :: [Item.t()]
   def list(id), do: GenServer.call(via(id), :list, 30_000)
@@ -110,6 +130,7 @@ defmodule Situ.Studio.Catalog do
       pipelines: opts[:pipelines] || [],
       nodes: opts[:recordings],
       open: %{},
+      connected: %{},
       stores: nil,
       looked_at: nil,
       looking: nil,
@@ -131,6 +152,12 @@ defmodule Situ.Studio.Catalog do
     if state.looking, do: Task.shutdown(state.looking, :brutal_kill)
     state = %{state | looking: nil, looked_at: nil, stores: nil}
     {:reply, :ok, if(state.waiting == [], do: state, else: refresh_stores(state))}
+  end
+
+  def handle_call({:connect, items}, _from, state) do
+    connected = Map.new(items, fn {item, opts} -> {item.id, {item, opts}} end)
+    ids = connected |> Map.keys() |> Enum.sort()
+    {:reply, {:ok, ids}, %{state | connected: Map.merge(state.connected, connected)}}
   end
 
   def handle_call({:find, id}, _from, state), do: {:reply, resolve_item(state, id), state}
@@ -193,7 +220,7 @@ defmodule Situ.Studio.Catalog do
   # An address contains an item's id, never a path, so only recordings in the folder can be opened.
   defp resolve_item(state, id) do
     case Enum.find(source_items(state), &(&1.id == id)) || find_store_item(state, id) ||
-           find_dataset_item(state, id) ||
+           find_dataset_item(state, id) || find_connected_item(state, id) ||
            find_node_item(state, id) do
       nil ->
         {:error, not_found(id)}
@@ -225,6 +252,10 @@ defmodule Situ.Studio.Catalog do
 
   defp store_kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
+
+  defp find_connected_item(state, id) do
+    with %{^id => {item, _opts}} <- state.connected, do: item, else: (_ -> nil)
+  end
 
   # The id of a recording on another cluster node is `NODE/NAME`; the node is asked when it is opened.
   defp find_node_item(%{nodes: nil}, _id), do: nil
@@ -289,8 +320,12 @@ defmodule Situ.Studio.Catalog do
     {recordings, datasets} = state.stores || {[], []}
 
     for({id, path} <- datasets, do: dataset_item(id, path)) ++
-      source_items(state) ++ for {id, path} <- recordings, do: store_item(id, path)
+      source_items(state) ++
+      for({id, path} <- recordings, do: store_item(id, path)) ++ connected_items(state)
   end
+
+  defp connected_items(state),
+    do: for({_id, {item, _opts}} <- state.connected, do: item) |> Enum.sort_by(& &1.id)
 
   # Returns all items except the recordings of the folder.
   defp source_items(state) do
@@ -343,7 +378,7 @@ defmodule Situ.Studio.Catalog do
   end
 
   defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
-    with {:ok, source} <- Recordings.Store.open(item.path) do
+    with {:ok, source} <- Recordings.Store.open(item.path, reader_options(state, item)) do
       source = Recordings.Layers.add_layers(source, state.id, item.layers)
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
@@ -353,6 +388,14 @@ defmodule Situ.Studio.Catalog do
     with {:ok, source} <-
            Recordings.Pipeline.open(state.pipelines, item.id, watch_supervisor(state.id)) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
+    end
+  end
+
+  # The token of a server is known only here, so it is in no address.
+  defp reader_options(state, item) do
+    case Map.fetch(state.connected, item.id) do
+      {:ok, {_item, opts}} -> opts
+      :error -> []
     end
   end
 end

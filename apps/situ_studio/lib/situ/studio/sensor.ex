@@ -31,6 +31,13 @@ defmodule Situ.Studio.Sensor do
       type: :pos_integer,
       default: 200,
       doc: "The number of audio chunks buffered for a slow pipeline; the oldest are dropped."
+    ],
+    end_with_page: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Ends the streams when the page disconnects, or when no page has connected within five minutes. By default, " <>
+          "the sensor waits for another page."
     ]
   ]
 

@@ -80,7 +80,14 @@ defmodule Situ.Studio.Stores do
     end
   end
 
-  defp address_name(address) do
+  @doc """
+  Returns the name of a recording on another machine, from its address.
+
+      iex> Situ.Studio.Stores.address_name("situ://lab1:4000/lobby")
+      "lobby"
+  """
+  @spec address_name(String.t()) :: name()
+  def address_name(address) do
     uri = URI.parse(address)
     name = if uri.scheme == "situ+unix", do: uri.query || "", else: Path.basename(uri.path || "")
     if name == "", do: uri.host || "recording", else: URI.decode(name)
@@ -136,7 +143,13 @@ defmodule Situ.Studio.Stores do
 
     stores = folder |> Situ.Store.list() |> Enum.reject(&(file_type(&1) == :symlink))
     files = for {:regular, path} <- entries, known_ending?(path), do: path
-    folders = for {:directory, path} <- entries, depth > 0, not store?(path, stores), do: path
+
+    folders =
+      for {:directory, path} <- entries,
+          depth > 0,
+          not store?(path, stores),
+          not unfinished_upload?(path),
+          do: path
 
     Enum.reduce(
       folders,
@@ -144,6 +157,9 @@ defmodule Situ.Studio.Stores do
       &walk_folder(&1, depth - 1, &2)
     )
   end
+
+  # `Situ.Studio.Upload` creates these folders.
+  defp unfinished_upload?(path), do: String.starts_with?(Path.basename(path), "situ-upload-")
 
   # Segments are listed as one recording.
   defp store?(path, stores), do: path in stores or Situ.Store.Folder.store_folder?(path)

@@ -172,4 +172,39 @@ defmodule Situ.Studio.SensorTest do
     push(socket, 2, picture(now_ms()))
     assert_receive {:video, _, _}
   end
+
+  @tag :tmp_dir
+  test "a recording of a camera ends with its page and contains what the page sent", %{
+    tmp_dir: tmp,
+    test: id
+  } do
+    id = to_string(id)
+    {:ok, studio} = Situ.Studio.start_link(port: 0, path: tmp, id: id)
+
+    assert {:ok, %{page: page, recording: "Camera.0000"}} =
+             Situ.Studio.CameraRecording.start_recording(id, tmp)
+
+    poll(fn -> Inbox.fetch_sensor(Sensor, page) != :error end)
+    {"HTTP/1.1 101" <> _, socket} = camera(Situ.Studio.port(studio), page)
+    assert json(socket) == %{"credit" => 2}
+    text(socket, %{offset: 0})
+    ms = now_ms()
+    push(socket, 2, picture(ms))
+    push(socket, 2, sound(ms + 20, [1, 2]))
+    push(socket, 2, picture(ms + 33))
+    text(socket, %{ping: 1})
+    # The answer follows the frames, so the sensor has them when the page leaves.
+    credits(socket, 0)
+    :gen_tcp.close(socket)
+    path = Path.join(tmp, "Camera.0000")
+    poll(fn -> match?({:ok, %{live?: false}}, open_info(path)) end)
+    store = Situ.Store.open!(path)
+    assert Enum.count(Situ.Store.messages(store, "Camera.Pictures")) == 2
+    assert [%{data: buffer}] = Enum.to_list(Situ.Store.messages(store, "Camera.Sound"))
+    assert AudioBuffer.to_samples(buffer) == [1, 2]
+  end
+
+  defp open_info(path) do
+    with {:ok, store} <- Situ.Store.open(path), do: {:ok, %{live?: Situ.Store.live?(store)}}
+  end
 end

@@ -5,10 +5,14 @@ defmodule Situ.Studio.Sensor.Inbox do
   alias Situ.Error
 
   @enforce_keys [:kind, :name, :credited, :ahead, :buffer]
-  defstruct @enforce_keys ++ [page: nil, waiting: %{}, dropped: 0, last: %{}]
+  # `ending` is nil, :page_left once the outputs shall end, or :complete.
+  defstruct @enforce_keys ++
+              [page: nil, waiting: %{}, dropped: 0, last: %{}, end_with_page: false, ending: nil]
 
   @type t :: %__MODULE__{}
   @registry Situ.Studio.Registry
+  # How long a sensor that ends with its page waits for the page.
+  @page_timeout_ms 300_000
 
   @doc "Builds an inbox. `kind` is the component's module; names are unique within a kind."
   @spec new(module(), String.t(), keyword()) :: t()
@@ -17,6 +21,10 @@ defmodule Situ.Studio.Sensor.Inbox do
   @spec register_sensor(t()) :: {[Situ.Component.action()], t()}
   def register_sensor(%__MODULE__{} = inbox) do
     case Registry.register(@registry, {:sensor, inbox.kind, inbox.name}, nil) do
+      {:ok, _} when inbox.end_with_page ->
+        Process.send_after(self(), :page_timeout, @page_timeout_ms)
+        {[], inbox}
+
       {:ok, _} ->
         {[{:complete, :infinity}], inbox}
 
@@ -66,12 +74,32 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   def handle_message(%__MODULE__{page: pid} = inbox, {:DOWN, _, :process, pid, _}),
-    do: %{inbox | page: nil}
+    do: start_ending(%{inbox | page: nil})
+
+  def handle_message(%__MODULE__{page: nil} = inbox, :page_timeout), do: start_ending(inbox)
 
   def handle_message(%__MODULE__{} = inbox, {:sensor, output, time, data}),
     do: push_message(inbox, output, time, data)
 
   def handle_message(%__MODULE__{} = inbox, _other), do: inbox
+
+  defp start_ending(%{end_with_page: true, ending: nil} = inbox),
+    do: %{inbox | ending: :page_left}
+
+  defp start_ending(inbox), do: inbox
+
+  @doc "Completes the outputs when the page has left and the pipeline has taken all that it had sent."
+  @spec complete_outputs(t()) :: {[Situ.Component.action()], t()}
+  def complete_outputs(%__MODULE__{ending: :page_left} = inbox) do
+    if Enum.all?(inbox.waiting, fn {_output, queue} -> :queue.is_empty(queue) end) do
+      last = inbox.last |> Map.values() |> Enum.max(fn -> Situ.Time.now() end)
+      {[{:complete, last}], %{inbox | ending: :complete}}
+    else
+      {[], inbox}
+    end
+  end
+
+  def complete_outputs(%__MODULE__{} = inbox), do: {[], inbox}
 
   # Times are converted between two clocks, and may step back a little.
   defp push_message(inbox, output, time, data) do

@@ -3,10 +3,11 @@ defmodule Situ.Studio.Web.HomeView do
   # Serves the start page, a list of datasets, running pipelines and recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
+  import Situ.Studio.Web.StartPanel, only: [start_panel: 1]
   alias Situ.Dataset
   alias Situ.Studio.{Alerts, Catalog, Export, StreamTotals}
   alias Situ.Studio.Datasets.Summary
-  alias Situ.Studio.Web.{Paths, ClusterView}
+  alias Situ.Studio.Web.{ClusterView, Paths, StartPanel}
 
   @refresh_ms 2_000
   # The page shows at most this many rows, and reads the facts of at most this many recordings and datasets.
@@ -23,10 +24,10 @@ defmodule Situ.Studio.Web.HomeView do
         page_title: "Situ Studio",
         query: "",
         problems: Catalog.settings(session["studio"]).problems,
-        folder: dataset_folder(Catalog.settings(session["studio"]), session),
         facts: %{},
         stamps: %{}
       )
+      |> assign(StartPanel.initial_assigns(session["studio"], session["viewer"] == true))
 
     {:ok, load_items(socket)}
   end
@@ -40,6 +41,9 @@ defmodule Situ.Studio.Web.HomeView do
   def handle_info({:facts, id, facts}, socket),
     do: {:noreply, assign(socket, facts: Map.put(socket.assigns.facts, id, facts))}
 
+  def handle_info({:start_panel, _, _} = message, socket),
+    do: {:noreply, StartPanel.handle_info(message, socket)}
+
   def handle_info(_, socket), do: {:noreply, socket}
 
   # A page of another studio version may send events that are unknown here.
@@ -47,7 +51,14 @@ defmodule Situ.Studio.Web.HomeView do
   def handle_event("search", %{"query" => query}, socket) when is_binary(query),
     do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
 
-  def handle_event("new_dataset", %{"name" => name}, %{assigns: %{folder: folder}} = socket)
+  def handle_event("start_" <> _ = event, params, socket),
+    do: {:noreply, StartPanel.handle_event(event, params, socket)}
+
+  def handle_event(
+        "new_dataset",
+        %{"name" => name},
+        %{assigns: %{start: %{folder: folder}}} = socket
+      )
       when is_binary(name) and folder != nil do
     name = String.trim(name)
     file = Path.join(folder, name <> ".json")
@@ -73,13 +84,6 @@ defmodule Situ.Studio.Web.HomeView do
     if connected?(socket), do: refresh_facts(socket), else: socket
   end
 
-  # New datasets need a local folder and a user who may write to it.
-  defp dataset_folder(%{read_only: false, path: path}, session) when is_binary(path) do
-    if session["viewer"] != true and File.dir?(path) and not Situ.Store.exists?(path), do: path
-  end
-
-  defp dataset_folder(_, _), do: nil
-
   # Another process reads the recordings one after the other, so the list appears immediately.
   defp refresh_facts(socket) do
     %{items: items, stamps: old, facts: facts, studio: studio} = socket.assigns
@@ -102,7 +106,8 @@ defmodule Situ.Studio.Web.HomeView do
   defp item_stamp(%{kind: :source}, _), do: :in_memory
   defp item_stamp(%{path: path}, _), do: Summary.file_stamp(path)
 
-  defp read_facts(studio, %{kind: :source, id: id}) do
+  # The catalog knows the tokens of other machines.
+  defp read_facts(studio, %{kind: kind, id: id}) when kind in [:source, :elsewhere] do
     case Catalog.open_source(studio, id) do
       {:ok, _item, source} -> Summary.of_source(source)
       {:error, error} -> %Summary{error: error}
@@ -142,9 +147,9 @@ defmodule Situ.Studio.Web.HomeView do
             alerts={if item.kind == :pipeline, do: Alerts.count_active(@studio, item.id), else: 0} /></span></a>
       </div>
       <p :if={@more > 0} class="hint more">{@more} more: use the search to find them</p>
-      <p :if={@items == []} class="hint">No recordings yet. New recordings appear automatically.
-        Run <code>bin/demo</code> to create one.</p>
-      <details :if={@folder} class="new-dataset">
+      <p :if={@items == []} class="hint">No recordings yet. New recordings appear automatically.</p>
+      <.start_panel :if={@start} start={@start} open={@items == []} />
+      <details :if={@start && @start.folder} class="new-dataset">
         <summary>New dataset</summary>
         <form id="new-dataset" class="search" phx-submit="new_dataset">
           <input name="name" aria-label="Name of the new dataset" placeholder="Name" maxlength="60" required

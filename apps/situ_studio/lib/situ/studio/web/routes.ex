@@ -14,7 +14,8 @@ defmodule Situ.Studio.Web.Routes do
     MetricsHttp,
     SensorHandler,
     SensorPage,
-    SettingsView
+    SettingsView,
+    UploadHandler
   }
 
   @spec build_routes(String.t(), String.t()) :: [tuple()]
@@ -31,6 +32,7 @@ defmodule Situ.Studio.Web.Routes do
       {:live, "/p/*id", PipelineView, session: session},
       {:static, "/assets", {:situ_studio, "priv/static"}},
       {:socket, "/data/socket", DataHandler, studio, max_frame: 262_144},
+      {:socket, "/upload/socket", UploadHandler, studio, max_frame: 262_144},
       {:get, "/sensor", {SensorPage, {studio, base}}},
       {:socket, "/sensor/socket", SensorHandler, Sensor, max_frame: 2_097_152},
       {:get, "/headset", {HeadsetPage, {studio, base}}},

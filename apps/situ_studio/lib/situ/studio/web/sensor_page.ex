@@ -12,6 +12,7 @@ defmodule Situ.Studio.Web.SensorPage do
   <p><button class="btn" id="start" type="button">Start</button>
      <button class="btn" id="stop" type="button" hidden>Stop</button></p>
   <p id="status" role="status">Not started.</p>
+  <p id="recording" hidden>It is recorded until this page is closed. <a target="_blank">Open the recording</a></p>
   <video id="preview" muted playsinline width="480"></video>
   """
 
