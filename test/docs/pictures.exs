@@ -1,50 +1,143 @@
-# Starts a studio with what the guides make, and prints its address: a recording, a video file and running pipelines.
-# Ends with its standard input. `test/docs/pictures` takes the pictures.
-alias Situ.{Pipeline, Store, Time}
+# Starts studios with what the guides make, and prints their addresses as JSON. Ends with its standard input.
+# `test/docs/pictures` takes the pictures.
+Code.require_file("../../apps/situ_infer/test/support/chat_server.ex", __DIR__)
+Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__)
+Code.require_file("../browser/fixture.exs", __DIR__)
+Code.require_file("../browser/plugin_fixture.exs", __DIR__)
+guides = Path.expand("../../docs/guides", __DIR__)
 
-{:ok, _} = Application.ensure_all_started(:situ_studio)
+# Returns the code blocks of a guide that contain a text.
+blocks = fn guide, text ->
+  for [_, code] <- Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(Path.join(guides, guide))),
+      code =~ text,
+      do: code
+end
+
+Code.compile_string(hd(blocks.("writing-a-component.md", "defmodule Turns")))
+Code.compile_string(hd(blocks.("live-views.md", "defmodule Guide.Counter")))
+[hall | _] = blocks.("from-one-machine-to-ten.md", "defmodule Guide.Hall")
+hall |> String.split("rules =") |> hd() |> Code.compile_string()
+Code.require_file("scenes.exs", __DIR__)
+
+for app <- [:situ_studio, :situ_cluster, :situ_link, :situ_bridge, :situ_infer, :situ_assistant],
+    do: {:ok, _} = Application.ensure_all_started(app)
+
 [folder] = System.argv()
+alias Situ.Infer.Test.ChatServer
+alias Situ.Studio.Recordings
 
-{:ok, _} =
-  Pipeline.run(
-    fn p ->
-      store = Store.create(p, "walk", folder)
+Scenes.walk(folder)
+Scenes.operators(folder)
+Scenes.colours(folder)
+python = System.get_env("SITU_TEST_PYTHON") || "python3"
+Scenes.python(folder, Path.join(guides, "python-components.md"), python)
 
-      steps =
-        p |> Situ.from_enumerable(0..499, every: Time.ms(10)) |> Store.write(store, "Leg.Steps")
+answers = %{
+  "What time is it?" => ["It is ", "ten past ", "three."],
+  "Thank you." => ["You are ", "welcome."]
+}
 
-      steps
-      |> Situ.map(&:math.sin(&1 / 20), type: :float)
-      |> Store.write(store, "Leg.Angle", metadata: %{"unit" => "rad", "leg" => "left"})
-    end,
-    pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
-  )
+chat =
+  ChatServer.start(fn %{body: %{"messages" => turns}}, _n ->
+    ChatServer.stream(Map.get(answers, List.last(turns)["content"], ["Rembrandt, ", "in 1642."]))
+  end)
 
+Scenes.chat(folder, chat.url)
 File.cp!(Situ.Examples.Demo.Options.default_clip(), Path.join(folder, "talk1.mp4"))
-
-heartbeat = fn p ->
-  p
-  |> Situ.repeat(:beat, every: Time.ms(10), name: "Heartbeat")
-  |> Situ.scan(0, fn :beat, n -> n + 1 end, name: "Count")
-  |> Situ.each(fn _n -> :ok end, name: "Print")
-end
-
-division = fn p ->
-  p
-  |> Situ.repeat(:tick, every: Time.ms(50), name: "Numbers")
-  |> Situ.scan(0, fn :tick, n -> rem(n + 1, 10) end, name: "Digit")
-  |> Situ.map(&(100 / (&1 - 5)), name: "Divide", on_error: :skip, async: true)
-  |> Situ.each(fn _value -> :ok end, name: "Print", async: true)
-end
+bag = Path.expand("../../apps/situ_bridge/test/data/ros1_imu_gps_cam.bag", __DIR__)
+File.cp!(bag, Path.join(folder, "drive.bag"))
 
 pipelines =
-  for {name, build} <- [{"Heartbeat", heartbeat}, {"Division", division}] do
-    {:ok, pipeline} = Pipeline.start(build, [])
+  for {name, build} <- Scenes.pipelines() do
+    {:ok, pipeline} = Situ.Pipeline.start(build, name: name)
     {name, pipeline}
   end
 
-{:ok, studio} =
-  Situ.Studio.start_link(port: 0, path: folder, pipelines: pipelines, id: "pictures")
+plugins = Path.join(folder, "plugins")
+Situ.Studio.GuidePlugin.write(Path.join(plugins, "gaze-heat-map"))
 
-IO.puts(Situ.Studio.url(studio))
+{:ok, main} =
+  Situ.Studio.start_link(
+    port: 0,
+    path: folder,
+    pipelines: pipelines,
+    sources: %{"gaze" => Recordings.History.wrap(PluginFixture.gaze())},
+    plugins: [plugins],
+    id: "pictures"
+  )
+
+# The recordings of this machine, as another one sees them.
+served = Map.new(["walk", "detector"], &{&1, Path.join(folder, &1 <> ".0000")})
+{:ok, server} = Situ.Link.serve(served, port: 0)
+
+{:ok, linked} =
+  Situ.Studio.start_link(
+    port: 0,
+    path: "situ://127.0.0.1:#{Situ.Link.Server.port(server)}",
+    id: "linked"
+  )
+
+{:ok, guarded} =
+  Situ.Studio.start_link(port: 0, path: folder, id: "guarded", token: "a-long-secret")
+
+# The view of the guide, with the script of the studio, which starts the same clients.
+defmodule Scenes.Page do
+  use Situ.Live.Component
+
+  def layout(assigns) do
+    ~H"""
+    <html lang="en">
+      <head>
+        <meta charset="utf-8"><title>{@page_title}</title><base href="/">
+        <link rel="stylesheet" href="assets/studio.css"><script defer src="assets/studio.js"></script>
+      </head>
+      <body><main class="message">{@inner_content}</main></body>
+    </html>
+    """
+  end
+end
+
+{:ok, counter} =
+  Situ.Live.start_link(
+    port: 0,
+    layout: &Scenes.Page.layout/1,
+    routes: [{:live, "/", Guide.Counter}, {:static, "/assets", {:situ_studio, "priv/static"}}]
+  )
+
+# A cluster of one node that runs the guide's pipeline in three parts.
+{:ok, _} = Situ.Cluster.join(log: Path.join(folder, "log"), labels: ["sensor", "compute"])
+
+{:ok, _hall} =
+  Situ.Cluster.deploy(Guide.Hall,
+    opts: [count: 10_000_000],
+    place: [{"Smooth", on: "compute", deterministic: true}, {:rest, on: "sensor"}],
+    publish: ["Mean"],
+    checkpoint: Situ.Time.s(1),
+    pipeline: [replay: [interval: {0, Situ.Time.h(10)}, speed: 1.0]]
+  )
+
+# The race of the guide about simulations: its first two blocks define it, and the third one finds it.
+[race | _] = blocks.("simulation.md", "defmodule Guide.Calibrate")
+[check | _] = blocks.("simulation.md", "failure =")
+
+{failure, _} =
+  Code.eval_string(race <> "\n" <> String.replace(check, "{failure.kind", "failure\n#"))
+
+# What a notebook shows of a recording.
+code = "import situ, sys; print(situ.open(sys.argv[1])._repr_html_())"
+client = Path.expand("../../clients/python/src", __DIR__)
+
+{notebook, 0} =
+  System.cmd(python, ["-c", code, "operators.0000"], cd: folder, env: [{"PYTHONPATH", client}])
+
+addresses = %{
+  notebook: notebook,
+  main: Situ.Studio.url(main),
+  linked: Situ.Studio.url(linked),
+  guarded: "http://localhost:#{Situ.Studio.port(guarded)}/",
+  counter: Situ.Live.url(counter),
+  failure: Exception.message(failure)
+}
+
+IO.puts("ready " <> Situ.JSON.encode(addresses))
 IO.read(:stdio, :line)

@@ -2,31 +2,100 @@
 import { chromium } from "../browser/node_modules/playwright-core/index.mjs";
 import { hideHints } from "../browser/harness.mjs";
 
-const [address, folder] = process.argv.slice(2);
+const [json, folder, only = ""] = process.argv.slice(2);
+const { main, linked, guarded, counter, failure, notebook } = JSON.parse(json);
+
+const ready = (page) => page.waitForFunction(() => document.body.dataset.ready === "1");
+
+/**
+ * Opens a recording and moves the mouse to a position of the window.
+ * @param {import("playwright-core").Page} page
+ */
+async function openRecording(page, name, x = 700, y = 450) {
+  await page.goto(`${main}s/${name}`);
+  await ready(page);
+  await page.waitForTimeout(3000);
+  await page.mouse.move(x, y);
+}
+
+// Opens the graph of a pipeline and selects a component.
+async function openGraph(page, name, component) {
+  await page.goto(`${main}p/${name}`);
+  const node = `.graph .node[data-path="${component}"]`;
+  await page.waitForSelector(node);
+  await page.click(node);
+  await page.waitForTimeout(4000);
+}
+
+// Shows text that a program has printed.
+async function showText(page, text) {
+  await page.setContent("<pre></pre>");
+  await page.evaluate((lines) => {
+    const pre = document.querySelector("pre");
+    if (!pre) return;
+    pre.textContent = lines;
+    document.body.style.cssText = "margin:0;background:#0e1217;color:#dbe1e9";
+    pre.style.cssText = "margin:24px;font:13px/1.5 'DejaVu Sans Mono',monospace;white-space:pre-wrap";
+  }, text);
+}
+
 const PICTURES = {
-  recording: async (page) => {
-    await page.goto(`${address}s/walk.0000`);
-    await page.waitForFunction(() => document.body.dataset.ready === "1");
-    await page.mouse.move(700, 300);
+  recording: (page) => openRecording(page, "walk.0000", 700, 300),
+  file: (page) => openRecording(page, "talk1.mp4"),
+  pipeline: (page) => openGraph(page, "Heartbeat", "Count"),
+  errors: (page) => openGraph(page, "Division", "Divide"),
+  component: (page) => openGraph(page, "Turns", "Turns"),
+  genstage: (page) => openGraph(page, "Queue", "Orders"),
+  operators: (page) => openRecording(page, "operators.0000", 700, 300),
+  colours: (page) => openRecording(page, "colours.0000", 700, 450),
+  python: (page) => openRecording(page, "detector.0000", 620, 450),
+  chat: async (page) => {
+    await page.setViewportSize({ width: 1100, height: 300 });
+    await openRecording(page, "chat.0000", 700, 110);
   },
-  file: async (page) => {
-    await page.goto(`${address}s/talk1.mp4`);
-    await page.waitForFunction(() => document.body.dataset.ready === "1");
+  bag: (page) => openRecording(page, "drive.bag", 700, 450),
+  heat: async (page) => {
+    await openRecording(page, "gaze");
+    await page.evaluate(() => document.querySelector('[data-stream="Gaze.Point"] .name')?.click());
+    await page.click('.props button[phx-value-viz="gaze-heat-map/heat"]');
+    await page.waitForTimeout(1000);
+    await page.evaluate(() => window.situStudio.time.dispatch({ type: "cursor", t: 8e9 }));
+    await page.waitForTimeout(2000);
+  },
+  notebook: async (page) => {
+    await page.setViewportSize({ width: 900, height: 360 });
+    await page.emulateMedia({ colorScheme: "light" });
+    await page.setContent(`<body style="margin:24px;font:13px sans-serif">${notebook}</body>`);
+  },
+  links: async (page) => {
+    await page.setViewportSize({ width: 1100, height: 340 });
+    await page.goto(linked);
     await page.waitForTimeout(4000);
-    await page.mouse.move(700, 450);
   },
-  pipeline: async (page) => {
-    await page.goto(`${address}p/Heartbeat`);
-    await page.waitForSelector('.graph .node[data-path="Count"]');
-    await page.click('.graph .node[data-path="Count"]');
-    await page.waitForTimeout(3000);
+  token: async (page) => {
+    await page.setViewportSize({ width: 700, height: 400 });
+    await page.goto(guarded);
   },
-  errors: async (page) => {
-    await page.goto(`${address}p/Division`);
-    await page.waitForSelector('.graph .node[data-path="Divide"]');
-    await page.click('.graph .node[data-path="Divide"]');
-    await page.waitForTimeout(3000);
+  view: async (page) => {
+    await page.setViewportSize({ width: 700, height: 300 });
+    await page.goto(counter);
+    await page.waitForSelector("[data-phx-main].phx-connected");
+    for (const id of ["#add10", "#add1", "#add1"]) await page.click(id);
   },
+  cluster: async (page) => {
+    await page.setViewportSize({ width: 1100, height: 380 });
+    await page.goto(`${main}cluster`);
+    await page.waitForTimeout(8000);
+  },
+  metrics: async (page) => {
+    const text = await (await page.request.get(`${main}metrics`)).text();
+    const lines = text.split("\n").filter((line) => /situ_(queue|latency|messages)/.test(line));
+    await showText(
+      page,
+      ["$ curl http://localhost:4040/metrics | grep 'situ_queue\\|situ_latency'", ...lines.slice(0, 26)].join("\n"),
+    );
+  },
+  simulation: (page) => showText(page, failure),
 };
 
 const browser = await chromium.launch({
@@ -34,7 +103,7 @@ const browser = await chromium.launch({
   args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
 });
 for (const [name, show] of Object.entries(PICTURES)) {
-  if (!name.includes(process.argv[4] ?? "")) continue;
+  if (!only.split("|").some((word) => name.includes(word))) continue;
   const page = await browser.newPage({ viewport: { width: 1100, height: 620 }, colorScheme: "dark" });
   await hideHints(page);
   await show(page);
