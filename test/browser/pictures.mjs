@@ -7,7 +7,7 @@ import { answer, dispatch, open, settled, state } from "./studio_page.mjs";
 import { hideHints, until } from "./harness.mjs";
 
 const [site, to, only = ""] = process.argv.slice(2);
-const { demo, main, shown, start } = JSON.parse(site);
+const { demo, main, shown, start: emptyFolder } = JSON.parse(site);
 const S = 1e9;
 
 const recording = async (page) => {
@@ -152,7 +152,7 @@ const PICTURES = {
   },
   start: async (page) => {
     await page.setViewportSize({ width: 1100, height: 560 });
-    await page.goto(start);
+    await page.goto(emptyFolder);
     await page.waitForSelector("#start[open]");
   },
   settings: async (page) => {

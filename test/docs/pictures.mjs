@@ -63,7 +63,7 @@ const PICTURES = {
     await page.waitForTimeout(2000);
   },
   notebook: async (page) => {
-    await page.setViewportSize({ width: 900, height: 360 });
+    await page.setViewportSize({ width: 900, height: 180 });
     await page.emulateMedia({ colorScheme: "light" });
     await page.setContent(`<body style="margin:24px;font:13px sans-serif">${notebook}</body>`);
   },
