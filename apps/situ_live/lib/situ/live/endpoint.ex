@@ -11,7 +11,8 @@ defmodule Situ.Live.Endpoint do
     Response,
     Route,
     Static,
-    Token
+    Token,
+    TokenPage
   }
 
   @cookie_age_s 30 * 86_400
@@ -122,7 +123,8 @@ defmodule Situ.Live.Endpoint do
     end
   end
 
-  defp check_sent_token(_config, _request, nil), do: {:respond, unauthorized_response()}
+  defp check_sent_token(_config, request, nil),
+    do: {:respond, TokenPage.build_response(request, false)}
 
   # After too many wrong guesses from an address, its tokens are not even compared.
   defp check_sent_token(config, %{peer: {address, _}} = request, {source, token}) do
@@ -145,7 +147,7 @@ defmodule Situ.Live.Endpoint do
 
       nil ->
         TokenRateLimit.count_wrong_token(config.ref, address)
-        {:respond, unauthorized_response()}
+        {:respond, TokenPage.build_response(request, true)}
     end
   end
 
@@ -210,12 +212,6 @@ defmodule Situ.Live.Endpoint do
       "#{cookie_name(config)}=#{cookie}; Path=#{PublicAddress.base_path(public)}/; HttpOnly; SameSite=Strict; " <>
         "Max-Age=#{@cookie_age_s}#{secure}"
     )
-  end
-
-  defp unauthorized_response do
-    401
-    |> Response.error("open the address that the server printed, which contains the token")
-    |> Response.put_header("www-authenticate", "Bearer")
   end
 
   # Browsers always send the origin of a WebSocket or a POST; other programs do not.

@@ -258,6 +258,24 @@ defmodule Situ.Live.HttpTest do
                Raw.get(other, "/", [{"cookie", String.replace(cookie, "#{port}", "#{other}")}])
     end
 
+    test "a browser without a valid token gets a form that keeps the address" do
+      {_, port} = start([{:get, "/", &echo/1}], token: "a good token")
+      html = [{"accept", "text/html,*/*;q=0.8"}]
+      assert {401, headers, page} = Raw.get(port, "/?view=1%222%3E&list[]=x", html)
+      assert headers["content-type"] =~ "text/html"
+      assert headers["content-security-policy"] =~ "default-src 'none'"
+      assert page =~ "This page needs a token."
+      assert page =~ ~s(<input type="hidden" name="view" value="1&quot;2&gt;">)
+      refute page =~ "list"
+      assert {401, _, page} = Raw.get(port, "/?token=wrong", html)
+      assert page =~ "This token is not valid."
+      refute page =~ "wrong"
+      assert {401, %{"content-type" => "text/plain" <> _}, _} = Raw.get(port, "/")
+
+      assert {303, %{"location" => "/?view=1"}, _} =
+               Raw.get(port, "/?view=1&token=a+good+token", html)
+    end
+
     test "requires a token beyond loopback" do
       routes = [{:get, "/", &echo/1}]
 
