@@ -5,6 +5,8 @@ defmodule Situ.Examples.ClipVariantsTest do
   alias Situ.Examples.{ClipVariants, WhoSpeaksExperiment}
 
   @moduletag :tmp_dir
+  # Ten sessions take 40 s on idle cores.
+  @moduletag timeout: 300_000
   @demo Path.expand("../../../priv/demo", __DIR__)
 
   setup_all do
