@@ -78,7 +78,8 @@ defmodule Situ.Live do
   ## Options
 
     * `:routes` - see *Routes* above; required
-    * `:port` - default 4040; 0 picks a free port (see `port/1`)
+    * `:port` - default 4040; 0 picks a free port (see `port/1`). `:none` opens no port: another web server passes its
+      requests on and decides who may use the pages (`Situ.Live.Adapter`)
     * `:ip` - the address to listen on, default `{127, 0, 0, 1}`
     * `:token` - `:auto` (default: none on a loopback address, random elsewhere), a string, or `:none` (loopback only)
     * `:viewer_token` - a second token for view-only access: `:auto` (default: random if the server has a token), a
@@ -92,6 +93,7 @@ defmodule Situ.Live do
     * `:public` - the address under which browsers reach the server through a proxy, such as
       `"https://lab.example.org/studio"`. Its host and origin are accepted, its path is stripped from requests, and
       cookies, redirects and `url/2` use it
+    * `:prefix` - only the path of such an address, such as `"/studio"`, for a proxy under the server's own host name
     * `:images` - additional origins from which pages may load images, such as `"https://tiles.example.org"`
     * `:headers` - headers added to every response
     * `:max_body`, `:max_frame` - bytes, default 1,000,000 each; `:max_sockets` - concurrent WebSockets, default 500
@@ -107,6 +109,7 @@ defmodule Situ.Live do
   @loopback_names ["localhost", "127.0.0.1", "::1"]
   @option_names [
                   :public,
+                  :prefix,
                   :routes,
                   :port,
                   :ip,
@@ -170,10 +173,11 @@ defmodule Situ.Live do
 
   defp build_config(opts) do
     ip = Keyword.get(opts, :ip, {127, 0, 0, 1})
-    loopback? = loopback_address?(ip)
+    # A server without a port is as private as the web server that passes requests to it.
+    loopback? = loopback_address?(ip) or opts[:port] == :none
 
     with {:ok, port} <- resolve_port(opts, ip),
-         {:ok, public} <- PublicAddress.parse(opts[:public]),
+         {:ok, public} <- parse_address(opts[:public], opts[:prefix]),
          viewer = Keyword.get(opts, :viewer_token, :auto),
          {:ok, token} <-
            resolve_token(Keyword.get(opts, :token, :auto), loopback? and not is_binary(viewer)),
@@ -203,6 +207,17 @@ defmodule Situ.Live do
     end
   end
 
+  defp parse_address(public, nil), do: PublicAddress.parse(public)
+  defp parse_address(nil, prefix), do: PublicAddress.parse_prefix(prefix)
+
+  defp parse_address(public, prefix) do
+    {:error,
+     Error.new(:bad_prefix, "both a public address and a prefix are given",
+       why: "the path of the public address is the prefix",
+       fix: "give only public: #{inspect("#{public}#{prefix}")}"
+     )}
+  end
+
   defp allowed_hosts(nil, false, _), do: :any
   defp allowed_hosts(:any, _, _), do: :any
 
@@ -212,8 +227,8 @@ defmodule Situ.Live do
   defp resolve_port(opts, ip) do
     case Keyword.get(opts, :port, 4040) do
       0 -> Yaws.free_port(ip)
-      port when port in 1..65_535 -> {:ok, port}
-      other -> raise ArgumentError, "port: must be 0 to 65535, got: #{inspect(other)}"
+      port when port in 1..65_535 or port == :none -> {:ok, port}
+      other -> raise ArgumentError, "port: must be 0 to 65535 or :none, got: #{inspect(other)}"
     end
   end
 
@@ -267,11 +282,14 @@ defmodule Situ.Live do
     Supervisor.init(children, strategy: :rest_for_one)
   end
 
-  @doc "Returns the port that a server listens on."
-  @spec port(Supervisor.supervisor()) :: :inet.port_number()
+  @doc "Returns the port that a server listens on, or `:none`."
+  @spec port(Supervisor.supervisor()) :: :inet.port_number() | :none
   def port(server), do: get_endpoint(server).port
 
-  @doc "Returns the URL of a path, including the token if the server has one."
+  @doc """
+  Returns the URL of a path, including the token if the server has one. Without a port and a public address, it is a
+  path only.
+  """
   @spec url(Supervisor.supervisor(), String.t()) :: String.t()
   def url(server, path \\ "/") do
     config = get_endpoint(server)
@@ -296,8 +314,15 @@ defmodule Situ.Live do
 
   defp build_url(config, path, token) do
     query = if token, do: "?token=#{URI.encode_www_form(token)}", else: ""
-    local = "#{config.scheme}://#{url_host(config.ip)}:#{config.port}"
-    "#{if config.public, do: config.public.url, else: local}#{path}#{query}"
+    "#{base_url(config)}#{path}#{query}"
+  end
+
+  defp base_url(%{public: %{url: url}}) when url != nil, do: url
+  defp base_url(%{port: :none, public: public}), do: PublicAddress.base_path(public)
+
+  defp base_url(%{public: public} = config) do
+    base = PublicAddress.base_path(public)
+    "#{config.scheme}://#{url_host(config.ip)}:#{config.port}#{base}"
   end
 
   defp url_host({127, 0, 0, 1}), do: "localhost"

@@ -45,7 +45,12 @@ defmodule Situ.Studio do
       default: %{},
       doc: "Other recordings by name: `%{\"name\" => recording}`, see `Situ.Recording`."
     ],
-    port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 selects a free port."],
+    port: [
+      type: {:or, [{:range, 0, 65_535}, {:in, [:none]}]},
+      default: 4040,
+      doc:
+        "The port; 0 selects a free port. With `:none`, another web server serves the studio, see `Situ.Live.Adapter`."
+    ],
     ip: [
       type: :any,
       default: {127, 0, 0, 1},
@@ -78,6 +83,12 @@ defmodule Situ.Studio do
       doc:
         "The public address of a studio served through a proxy, such as `https://lab.example.org/studio`; " <>
           "see the guide \"The studio\"."
+    ],
+    prefix: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "The path under which a proxy serves the studio, such as `/studio`, if the proxy has the studio's host name."
     ],
     read_only: [type: :boolean, default: false, doc: "Rejects every change to files on disk."],
     layouts: [type: {:optional, :string}, default: nil, doc: "The folder for saved layouts."],
@@ -115,6 +126,7 @@ defmodule Situ.Studio do
 
   use Supervisor
 
+  alias Situ.Live.PublicAddress
   alias Situ.Studio.{Alerts, BatchRuns, Catalog, PipelineView, Plugins, Tiles, Web}
 
   @doc "Returns the child specification of a studio."
@@ -193,7 +205,8 @@ defmodule Situ.Studio do
           [{:get, "/*path", {Web.NotFoundPage, base_path(opts)}}],
       images: Tiles.allowed_origins(opts[:tiles]),
       layout: &Web.PageFrame.page_layout(Map.put(&1, :base, base_path(opts))),
-      max_frame: 262_144
+      max_frame: 262_144,
+      prefix: opts[:prefix]
     ] ++
       if(opts[:hosts], do: [hosts: opts[:hosts]], else: []) ++
       if(opts[:public], do: [public: opts[:public]], else: []) ++
@@ -202,14 +215,19 @@ defmodule Situ.Studio do
 
   # Every link in a page starts with this path.
   defp base_path(opts) do
-    case Situ.Live.PublicAddress.parse(opts[:public]) do
+    {parse, address} =
+      if opts[:prefix],
+        do: {&PublicAddress.parse_prefix/1, opts[:prefix]},
+        else: {&PublicAddress.parse/1, opts[:public]}
+
+    case parse.(address) do
       {:ok, %{base: base}} -> base <> "/"
       _ -> "/"
     end
   end
 
-  @doc "Returns the port that a studio listens on."
-  @spec port(Supervisor.supervisor()) :: :inet.port_number()
+  @doc "Returns the port that a studio listens on, or `:none`."
+  @spec port(Supervisor.supervisor()) :: :inet.port_number() | :none
   def port(studio), do: studio |> live_server() |> Situ.Live.port()
 
   @doc "Returns the address to open, including the token if one is required; `item` opens one recording."
@@ -243,7 +261,9 @@ defmodule Situ.Studio do
     end
   end
 
-  defp live_server(studio) do
+  @doc "Returns the `Situ.Live` server of a studio, for example for an adapter (`Situ.Live.Adapter`)."
+  @spec live_server(Supervisor.supervisor()) :: pid()
+  def live_server(studio) do
     studio
     |> Supervisor.which_children()
     |> Enum.find_value(fn {id, pid, _, _} -> match?({Situ.Live, _}, id) && pid end)

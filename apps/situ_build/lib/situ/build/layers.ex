@@ -36,7 +36,8 @@ defmodule Situ.Build.Layers do
       ~w(Situ.Application.CodeReload Situ.Application.Directory Situ.Application.PipelineResults
       Situ.Application.Reaper Situ.Application.Tables),
     pipeline: ~w(Situ.Pipeline),
-    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Metrics Situ.Tap),
+    connectors:
+      ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Metrics Situ.Subscription Situ.Tap),
     operators:
       ~w(Situ.Aggregate Situ.Available Situ.Branch Situ.Filter Situ.Fusion Situ.Generator Situ.Indexer
       Situ.Interpolator Situ.MapAsync Situ.Parallel Situ.Reproducible Situ.Sampling Situ.Selection

@@ -60,6 +60,18 @@ defmodule Situ.CLI.Studio do
           Option.new(:tiles_credit, :string, "the attribution of the tiles, shown on the map",
             value: "TEXT"
           ),
+          Option.new(
+            :prefix,
+            :string,
+            "the path under which a proxy on this machine serves the studio, such as /situ",
+            value: "PATH"
+          ),
+          Option.new(
+            :public,
+            :string,
+            "the address under which a proxy with another host name serves the studio",
+            value: "URL"
+          ),
           Option.new(:read_only, :flag, "do not allow changes to files"),
           Option.new(:open, :flag, "do not open the browser", negated?: true)
         ],
@@ -138,6 +150,7 @@ defmodule Situ.CLI.Studio do
       [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
         [plugins: Plugin.load_plugins(opts[:plugins])] ++
         [tiles: opts[:tiles], tiles_credit: opts[:tiles_credit]] ++
+        [prefix: opts[:prefix], public: opts[:public]] ++
         if(opts[:secret], do: [token: opts[:secret]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )

@@ -112,7 +112,8 @@ defmodule Situ.Live.Endpoint do
     end
   end
 
-  defp check_token(%{token: nil}, _), do: {:ok, :owner}
+  # The web server that passes requests to a server without a port may have set the role.
+  defp check_token(%{token: nil}, request), do: {:ok, request.role}
 
   # A viewer may bring an owner's token, so only an owner's cookie takes precedence over a token in the request.
   defp check_token(config, request) do

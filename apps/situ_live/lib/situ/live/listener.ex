@@ -1,7 +1,7 @@
 defmodule Situ.Live.Listener do
   @moduledoc false
   # Owns the port of one server: opens it, publishes its configuration, ends idle connections, and closes everything on
-  # shutdown.
+  # shutdown. With `port: :none`, another web server has the port (`Situ.Live.Adapter`) and ends idle connections.
   use GenServer, shutdown: 100_000
   alias Situ.Live.{Connections, Endpoint, PeerLimit, Yaws}
 
@@ -22,6 +22,12 @@ defmodule Situ.Live.Listener do
     Process.flag(:trap_exit, true)
     Endpoint.put_config(config)
 
+    if config.port == :none,
+      do: {:ok, %{config: config, sconf: nil, peers: MapSet.new()}},
+      else: open_port(config, tls)
+  end
+
+  defp open_port(config, tls) do
     case Yaws.open_listener(config.ref, config.ip, config.port, tls) do
       {:ok, sconf} ->
         Process.monitor(:yaws_server)

@@ -1,12 +1,12 @@
 defmodule Situ.Live.Yaws.Dispatch do
   @moduledoc false
   # Yaws calls this module, in the process of the connection, with each request whose head has been read. It builds a
-  # `Situ.Live.Request`, passes it to the endpoint and writes the response. `:done` keeps the connection, `:closed` ends
-  # it.
+  # `Situ.Live.Request`, which `Situ.Live.Adapter` serves through the callbacks. `:done` keeps the connection, `:closed`
+  # ends it.
   # See docs/adr/0070-yaws-is-embedded-behind-its-dispatch-module.md.
-  require Logger
+  @behaviour Situ.Live.Adapter
   require Record
-  alias Situ.Live.{Connections, Endpoint, Request, Response}
+  alias Situ.Live.{Adapter, Endpoint, Request, Response}
   alias Situ.Live.Yaws.ResponseWriter
 
   @compile {:no_warn_undefined, [:yaws_api, :yaws_websockets]}
@@ -41,95 +41,31 @@ defmodule Situ.Live.Yaws.Dispatch do
   end
 
   defp dispatch_request(arg, config) do
-    arg(req: http_request(version: version)) = arg
-
-    with {:ok, request} <- build_request(arg, config),
-         {:ok, length} <- body_length(request) do
-      keep? = keep_alive?(version, request)
-
-      case Endpoint.admit_request(config, request) do
-        {:respond, response} ->
-          keep? = keep? and length == 0
-          write_response(arg, config, request, response, keep?)
-
-        route ->
-          with_body(arg, config, route, length, keep?)
-      end
-    else
-      {:error, status} -> write_response(arg, config, %Request{}, Response.error(status), false)
+    case build_request(arg, config) do
+      {:ok, request} -> Adapter.serve_request(__MODULE__, arg, config, request)
+      {:error, status} -> send_response(arg, config, %Request{}, {Response.error(status), false})
     end
   end
 
-  defp with_body(arg, config, {_, request} = route, 0, keep?),
-    do: send_result(arg, config, route, request, keep?)
-
-  defp with_body(arg, config, {_, _, request} = route, 0, keep?),
-    do: send_result(arg, config, route, request, keep?)
-
-  defp with_body(arg, config, route, length, keep?) do
-    request = elem(route, tuple_size(route) - 1)
-
-    with true <- length <= Endpoint.max_body(config, route) or {:error, 413},
-         {:ok, body} <- read_body(arg, request, length, config.body_ms) do
-      request = %{request | body: body}
-      send_result(arg, config, put_elem(route, tuple_size(route) - 1, request), request, keep?)
-    else
-      {:error, status} -> write_response(arg, config, request, Response.error(status), false)
-    end
+  @impl true
+  def send_response(arg(clisock: socket, req: req), config, request, {response, body_read?}) do
+    http_request(version: version) = req
+    keep? = body_read? and keep_alive?(version, request)
+    ResponseWriter.write_response(socket, config, request, response, keep?)
   end
 
-  defp send_result(arg, config, route, request, keep?) do
-    case run_handler(config, route) do
-      {:upgrade, handler, handler_arg, opts, request} ->
-        start_websocket(arg, config, {handler, handler_arg, opts, request})
+  @impl true
+  def upgrade_connection(arg, connection, max_frame) do
+    options = [
+      callback: {:basic, connection},
+      max_frame_size: max_frame,
+      max_message_size: max_frame,
+      close_if_unmasked: true
+    ]
 
-      %Response{} = response ->
-        write_response(arg, config, request, response, keep?)
-    end
+    # Passes the connection to a new process and ends this one.
+    :yaws_websockets.start(arg, Situ.Live.Yaws.WebSocket, options)
   end
-
-  # An exception in a handler affects only its own request.
-  defp run_handler(config, route) do
-    case Endpoint.run_route(config, route) do
-      %Response{} = response -> response
-      {:upgrade, _, _, _, _} = upgrade -> upgrade
-      other -> raise "a handler must return a Situ.Live.Response, got: #{inspect(other)}"
-    end
-  catch
-    kind, reason ->
-      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      Response.error(500, "internal error")
-  end
-
-  # -- WebSockets
-
-  defp start_websocket(arg, config, {_, _, opts, request} = handler) do
-    cond do
-      Request.get_header(request, "sec-websocket-version") != "13" or
-          Request.get_header(request, "sec-websocket-key") == nil ->
-        response = Response.error(426) |> Response.put_header("sec-websocket-version", "13")
-        write_response(arg, config, request, response, false)
-
-      Connections.count(config.ref) >= config.max_sockets ->
-        write_response(arg, config, request, Response.error(503, "too many connections"), false)
-
-      true ->
-        max = opts[:max_frame] || 65_536
-
-        options = [
-          callback: {:basic, {handler, config.ref}},
-          max_frame_size: max,
-          max_message_size: max,
-          close_if_unmasked: true
-        ]
-
-        # Passes the connection to a new process and ends this one.
-        :yaws_websockets.start(arg, Situ.Live.Yaws.WebSocket, options)
-    end
-  end
-
-  defp write_response(arg(clisock: socket), config, request, response, keep?),
-    do: ResponseWriter.write_response(socket, config, request, response, keep?)
 
   # -- reading
 
@@ -196,23 +132,13 @@ defmodule Situ.Live.Yaws.Dispatch do
     version == {1, 1} and connection != "close"
   end
 
-  defp body_length(request) do
-    cond do
-      Request.get_header(request, "transfer-encoding") != nil -> {:error, 411}
-      (length = Request.get_header(request, "content-length")) != nil -> parse_length(length)
-      true -> {:ok, 0}
-    end
-  end
-
-  defp parse_length(text) do
-    if text =~ ~r/\A\d{1,15}\z/, do: {:ok, String.to_integer(text)}, else: {:error, 400}
-  end
-
-  defp read_body(arg(clisock: socket), request, length, body_ms) do
+  @impl true
+  def read_body(arg(clisock: socket) = arg, config, request, length) do
     expect = request |> Request.get_header("expect") |> to_string() |> String.downcase()
     if expect == "100-continue", do: ResponseWriter.send_continue(socket)
-    deadline = System.monotonic_time(:millisecond) + body_ms
-    read_chunks(socket, length, deadline, [])
+    deadline = System.monotonic_time(:millisecond) + config.body_ms
+
+    with {:ok, body} <- read_chunks(socket, length, deadline, []), do: {:ok, body, arg}
   end
 
   # The deadline applies to the whole body, so that a client cannot hold the connection by sending a byte now and then.
