@@ -1,5 +1,13 @@
 [
-  inputs: ["{mix,.formatter,.iex}.exs", "config/*.exs", "test/**/*.{ex,exs}", "bench/**/*.exs"],
+  inputs: [
+    "{mix,.formatter,.iex}.exs",
+    "config/*.exs",
+    "test/**/*.{ex,exs}",
+    "bench/**/*.exs",
+    "integrations/*.exs",
+    "integrations/*/{mix,.formatter}.exs",
+    "integrations/*/{lib,test,examples}/**/*.{ex,exs}"
+  ],
   subdirectories: ["apps/*"],
   line_length: 98
 ]

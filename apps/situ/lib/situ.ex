@@ -182,6 +182,10 @@ defmodule Situ do
   A composite restarts as a unit: all its components run `terminate/2`, start again with fresh state on the same edges,
   and count as one restart for `max_restarts:`. Components with their own `on_error:`, `:skip` or `:restart`, keep it.
 
+      iex> inputs = [n: [{0, 1}, {10, 2}]]
+      iex> Situ.Test.run(inputs, &Situ.composite(&1.n, "Double", fn n -> Situ.map(n, fn x -> 2 * x end) end))
+      {:ok, [{0, 2}, {10, 4}]}
+
   #{Options.docs(Graph.scope_schema())}
   """
   @doc group: "Components"
@@ -189,7 +193,13 @@ defmodule Situ do
         when result: term()
   defdelegate composite(stream, name, fun, opts \\ []), to: Composite, as: :build
 
-  @doc "Names a stream. Raises `Situ.Error` (`:duplicate_name`) if another stream of the pipeline has the same name."
+  @doc """
+  Names a stream. Raises `Situ.Error` (`:duplicate_name`) if another stream of the pipeline has the same name.
+
+      iex> build = fn p -> p |> Situ.from_enumerable([{0, 1}]) |> Situ.count() |> Situ.name("Visitors") end
+      iex> Situ.Test.run_pipeline(build, ["Visitors"])
+      {:ok, %{"Visitors" => [{0, 1}]}}
+  """
   @doc group: "Components"
   @spec name(Stream.t(), String.t()) :: Stream.t()
   def name(%Stream{} = stream, name) when is_binary(name) do
@@ -222,7 +232,12 @@ defmodule Situ do
           Stream.t()
   defdelegate map(stream, fun, opts \\ []), to: Selection
 
-  @doc "Applies `fun` to the data, except that `nil` stays `nil`."
+  @doc """
+  Applies `fun` to the data, except that `nil` stays `nil`.
+
+      iex> Situ.Test.run([n: [{0, 1}, {10, nil}]], &Situ.map_present(&1.n, fn n -> n + 1 end))
+      {:ok, [{0, 2}, {10, nil}]}
+  """
   @doc group: "Functions on data"
   @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
   defdelegate map_present(stream, fun, opts \\ []), to: Selection
@@ -251,7 +266,12 @@ defmodule Situ do
           Stream.t()
   defdelegate map_async(stream, fun, opts \\ []), to: MapAsync
 
-  @doc "Passes only the messages for which `fun` (of the data, or of the data and the message) returns true."
+  @doc """
+  Passes only the messages for which `fun` (of the data, or of the data and the message) returns true.
+
+      iex> Situ.Test.run([n: [{0, 1}, {10, 2}, {20, 3}]], &Situ.filter(&1.n, fn n -> n != 2 end))
+      {:ok, [{0, 1}, {20, 3}]}
+  """
   @doc group: "Functions on data"
   @spec filter(Stream.t(), (term() -> boolean()) | (term(), Message.t() -> boolean()), keyword()) ::
           Stream.t()
@@ -260,6 +280,10 @@ defmodule Situ do
   @doc """
   Calls `fun` (of the data, or of the data and the message; with `columns: true`, of `Situ.Columns`) for its side effect
   and passes the message through.
+
+      iex> me = self()
+      iex> Situ.Test.run([n: [{0, 1}, {10, 2}]], &Situ.each(&1.n, fn n -> send(me, n) end))
+      {:ok, [{0, 1}, {10, 2}]}
   """
   @doc group: "Functions on data"
   @spec each(Stream.t(), (term() -> any()) | (term(), Message.t() -> any()), keyword()) ::
@@ -271,6 +295,9 @@ defmodule Situ do
   `fun.(data, message, acc)`.
 
   The initial value itself is not emitted.
+
+      iex> Situ.Test.run([n: [{0, 1}, {10, 2}, {20, 3}]], &Situ.scan(&1.n, 100, fn n, sum -> sum + n end))
+      {:ok, [{0, 101}, {10, 103}, {20, 106}]}
   """
   @doc group: "Functions on data"
   @spec scan(
@@ -285,6 +312,9 @@ defmodule Situ do
   @doc """
   Folds a stream without an initial value. The first message passes unchanged; each later output is
   `fun.(data, previous_output)`.
+
+      iex> Situ.Test.run([n: [{0, 3}, {10, 5}, {20, 4}]], &Situ.reduce(&1.n, fn n, most -> max(n, most) end))
+      {:ok, [{0, 3}, {10, 5}, {20, 5}]}
   """
   @doc group: "Functions on data"
   @spec reduce(Stream.t(), (term(), term() -> term()), keyword()) :: Stream.t()
@@ -299,6 +329,13 @@ defmodule Situ do
         words = String.split(message.data)
         {Enum.with_index(words, fn word, i -> {message.originating_time + i, word} end), state}
       end)
+
+      iex> split = fn message, nil ->
+      ...>   words = message.data |> String.split() |> Enum.with_index()
+      ...>   {for({word, i} <- words, do: {message.originating_time + i, word}), nil}
+      ...> end
+      iex> Situ.Test.run([s: [{0, "good day"}, {10, "bye"}]], &Situ.process(&1.s, nil, split))
+      {:ok, [{0, "good"}, {1, "day"}, {10, "bye"}]}
 
   #{Options.docs(Selection.option_schema(:process))}
   """
@@ -315,6 +352,15 @@ defmodule Situ do
   @doc """
   Runs a finite state machine over a stream and emits the values that it returns. `machine` is a module with the
   behaviour `Situ.StateMachine`, or a function of (state, event, data). Reproducible: yes.
+
+      iex> door = fn
+      ...>   :closed, {:message, %{data: :push}}, n -> {:next_state, :open, n + 1, [{:emit, {:opened, n + 1}}]}
+      ...>   :open, {:message, %{data: :pull}}, n -> {:next_state, :closed, n}
+      ...>   _state, _event, n -> {:keep_state, n}
+      ...> end
+      iex> inputs = [e: [{0, :push}, {10, :pull}, {20, :push}]]
+      iex> Situ.Test.run(inputs, &Situ.state_machine(&1.e, door, init: {:closed, 0}))
+      {:ok, [{0, {:opened, 1}}, {20, {:opened, 2}}]}
 
   #{Options.docs(StateMachine.option_schema())}
   """
@@ -381,6 +427,10 @@ defmodule Situ do
   Fuses streams like `join/4`, with any interpolator: `fuse(a, b, Situ.Available.last())`. The forms are the same.
   Reproducible: if the interpolator is.
 
+      iex> inputs = [a: [{0, 1}, {10, 2}], b: [{0, :x}, {10, :y}]]
+      iex> Situ.Test.run(inputs, &Situ.fuse(&1.a, &1.b, Situ.Reproducible.exact()))
+      {:ok, [{0, {1, :x}}, {10, {2, :y}}]}
+
   #{Options.docs(Fusion.option_schema(:fuse))}
 
   `policy:` may be a list with one policy per input, primary first.
@@ -402,6 +452,13 @@ defmodule Situ do
   before the first secondary, and then there are no pairs. `join/4` with `Situ.Reproducible.last()` returns the latest
   secondary by originating time, at any speed.
 
+      iex> t = Situ.Test.start([:a, :b], &Situ.pair(&1.a, &1.b))
+      iex> Situ.Test.advance(t, 20)
+      iex> Situ.Test.feed(t, :b, {5, :x})
+      iex> Situ.Test.feed(t, :a, {10, 1})
+      iex> Situ.Test.outputs(t)
+      [{10, {1, :x}}]
+
   #{Options.docs(Fusion.option_schema(:pair))}
   """
   @doc group: "Fusion: streams brought together by time"
@@ -411,6 +468,9 @@ defmodule Situ do
   @doc """
   Groups the messages of all streams by originating time. Each output is the list of messages at that time, in the
   order of the streams. A group is emitted when every stream has reached its time or ended. Reproducible: yes.
+
+      iex> Situ.Test.run([a: [{0, 1}, {10, 2}], b: [{10, :y}]], &Situ.zip(&1.a, &1.b))
+      {:ok, [{0, [1]}, {10, [2, :y]}]}
   """
   @doc group: "Fusion: streams brought together by time"
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
@@ -475,6 +535,10 @@ defmodule Situ do
 
       Situ.sample(level, Situ.Time.ms(20), Situ.Reproducible.linear())
 
+      iex> inputs = [v: [{0, 0.0}, {10, 1.0}], tick: [{5, :t}, {10, :t}]]
+      iex> Situ.Test.run(inputs, &Situ.sample(&1.v, &1.tick, Situ.Reproducible.linear()))
+      {:ok, [{5, 0.5}, {10, 1.0}]}
+
   #{Options.docs(Fusion.option_schema(:sample))}
   """
   @doc group: "Fusion: streams brought together by time"
@@ -518,6 +582,10 @@ defmodule Situ do
   `{interval, obsolete}`: the span of `stream` in the window (a `Situ.Interval` of time points), and the time before
   which no later window will need the stream. The output is at the window message's time. Reproducible: yes.
 
+      iex> last_ten = fn %{originating_time: t} -> {Situ.Interval.closed(t - 10, t), t - 10} end
+      iex> Situ.Test.run([n: [{0, 1}, {8, 2}, {20, 3}], t: [{9, :t}, {20, :t}]], &Situ.window_by(&1.n, &1.t, last_ten))
+      {:ok, [{9, [1, 2]}, {20, [3]}]}
+
   #{Options.docs(Window.option_schema(:window_by))}
   """
   @doc group: "Windows"
@@ -560,6 +628,9 @@ defmodule Situ do
 
   ## Options
 
+      iex> Situ.Test.run([n: [{0, 1}, {10, 2}]], &Situ.sum(&1.n))
+      {:ok, [{0, 1}, {10, 3}]}
+
   #{Options.docs(Keyword.take(@statistic, [:over, :where, :by]))}
   """
   @doc group: "Statistics"
@@ -568,6 +639,9 @@ defmodule Situ do
 
   @doc """
   Counts the messages (or elements). `sum/2` describes `over:`.
+
+      iex> Situ.Test.run([n: [{0, :a}, {10, :b}]], &Situ.count(&1.n))
+      {:ok, [{0, 1}, {10, 2}]}
 
   #{Options.docs(Keyword.take(@statistic, [:over, :where]))}
   """
@@ -579,6 +653,9 @@ defmodule Situ do
   Computes the minimum, of any terms of one kind. The minimum of an empty list raises `Situ.Error` `:empty_list`, or is
   `nil` with `nullable: true`. `sum/2` describes `over:` and values.
 
+      iex> Situ.Test.run([n: [{0, 2}, {10, 1}, {20, 3}]], &Situ.min(&1.n))
+      {:ok, [{0, 2}, {10, 1}, {20, 1}]}
+
   #{Options.docs(Keyword.take(@statistic, [:over, :where, :by, :nullable, :compare]))}
   """
   @doc group: "Statistics"
@@ -588,6 +665,9 @@ defmodule Situ do
   @doc """
   Computes the maximum, of any terms of one kind. The maximum of an empty list raises `Situ.Error` `:empty_list`, or is
   `nil` with `nullable: true`. `sum/2` describes `over:` and values.
+
+      iex> Situ.Test.run([n: [{0, 2}, {10, 1}, {20, 3}]], &Situ.max(&1.n))
+      {:ok, [{0, 2}, {10, 2}, {20, 3}]}
 
   #{Options.docs(Keyword.take(@statistic, [:over, :where, :by, :nullable, :compare]))}
   """
@@ -612,6 +692,9 @@ defmodule Situ do
   Computes the sample standard deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. `sum/2`
   describes `over:` and values.
 
+      iex> Situ.Test.run([n: [{0, 1}, {10, 3}, {20, 5}]], &Situ.std(&1.n))
+      {:ok, [{0, :nan}, {10, 1.4142135623730951}, {20, 2.0}]}
+
   #{Options.docs(Keyword.take(@statistic, [:over, :where, :by, :initial]))}
   """
   @doc group: "Statistics"
@@ -621,24 +704,42 @@ defmodule Situ do
   @doc """
   Emits the next number minus the current one, at the **current** message's originating time. Each difference is
   emitted when the next message arrives, so the last message has no output. `where:` filters first. Reproducible: yes.
+
+      iex> Situ.Test.run([n: [{0, 1}, {10, 4}, {20, 2}]], &Situ.delta(&1.n))
+      {:ok, [{0, 3}, {10, -2}]}
   """
   @doc group: "Statistics"
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   defdelegate delta(stream, opts \\ []), to: Aggregate
 
-  @doc "Emits the absolute value of each number. `where:` filters first."
+  @doc """
+  Emits the absolute value of each number. `where:` filters first.
+
+      iex> Situ.Test.run([n: [{0, -1}, {10, 2}]], &Situ.abs(&1.n))
+      {:ok, [{0, 1}, {10, 2}]}
+  """
   @doc group: "Statistics"
   @spec abs(Stream.t(), keyword()) :: Stream.t()
   defdelegate abs(stream, opts \\ []), to: Aggregate
 
-  @doc "Emits the logarithm of each number: natural, or to `base:`. `where:` filters first."
+  @doc """
+  Emits the logarithm of each number: natural, or to `base:`. `where:` filters first.
+
+      iex> Situ.Test.run([n: [{0, 1}, {10, 0.5}]], &Situ.log(&1.n))
+      {:ok, [{0, 0.0}, {10, -0.6931471805599453}]}
+  """
   @doc group: "Statistics"
   @spec log(Stream.t(), keyword()) :: Stream.t()
   defdelegate log(stream, opts \\ []), to: Aggregate
 
   # Picking, moving, editing
 
-  @doc "Emits the first `n` messages. The stream then stays open without further messages."
+  @doc """
+  Emits the first `n` messages. The stream then stays open without further messages.
+
+      iex> Situ.Test.run([n: [{0, :a}, {10, :b}, {20, :c}]], &Situ.first(&1.n, 2))
+      {:ok, [{0, :a}, {10, :b}]}
+  """
   @doc group: "Picking, moving, editing"
   @spec first(Stream.t(), non_neg_integer() | keyword(), keyword()) :: Stream.t()
   defdelegate first(stream, n \\ 1, opts \\ []), to: Selection
@@ -653,7 +754,12 @@ defmodule Situ do
   @spec last(Stream.t(), non_neg_integer() | keyword(), keyword()) :: Stream.t()
   defdelegate last(stream, n \\ 1, opts \\ []), to: Selection
 
-  @doc "Emits the originating time of each message as its data, ns."
+  @doc """
+  Emits the originating time of each message as its data, ns.
+
+      iex> Situ.Test.run([n: [{0, :a}, {10, :b}]], &Situ.time_of(&1.n))
+      {:ok, [{0, 0}, {10, 10}]}
+  """
   @doc group: "Picking, moving, editing"
   @spec time_of(Stream.t(), keyword()) :: Stream.t()
   defdelegate time_of(stream, opts \\ []), to: Selection
@@ -673,6 +779,14 @@ defmodule Situ do
 
   Reproducible: yes. The clock decides when a message is emitted, not whether it is. Operators that depend on arrival
   (`pair/3`, `merge/3`) see it later.
+
+      iex> t = Situ.Test.start([:n], &Situ.delay(&1.n, 5))
+      iex> Situ.Test.feed(t, :n, {0, :a})
+      iex> Situ.Test.advance(t, 4)
+      iex> early = Situ.Test.outputs(t)
+      iex> Situ.Test.advance(t, 1)
+      iex> {early, Situ.Test.outputs(t)}
+      {[], [{0, :a}]}
   """
   @doc group: "Picking, moving, editing"
   @spec delay(Stream.t(), Time.duration(), keyword()) :: Stream.t()
@@ -681,6 +795,9 @@ defmodule Situ do
   @doc """
   Applies edits to a stream: `{time, {:put, data}}` replaces the message at that time or inserts one, and
   `{time, :delete}` removes it. Edits may be in any order; the last of several edits at one time applies.
+
+      iex> Situ.Test.run([n: [{0, :a}, {10, :b}, {20, :c}]], &Situ.edit(&1.n, [{10, :delete}, {15, {:put, :new}}]))
+      {:ok, [{0, :a}, {15, :new}, {20, :c}]}
   """
   @doc group: "Picking, moving, editing"
   @spec edit(Stream.t(), [{Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
@@ -689,6 +806,10 @@ defmodule Situ do
   @doc """
   Orders messages by a separate time (such as a device's timestamp). Each message waits until a message more than
   `lateness` ns later has arrived, or the stream ends. The first of several messages at one time is kept.
+
+      iex> inputs = [n: [{0, {30, :b}}, {10, {20, :a}}, {20, {40, :c}}]]
+      iex> Situ.Test.run(inputs, &Situ.reorder(&1.n, 15, time: fn m -> elem(m.data, 0) end))
+      {:ok, [{20, {20, :a}}, {30, {30, :b}}, {40, {40, :c}}]}
 
   #{Options.docs(Selection.option_schema(:reorder))}
   """
@@ -716,6 +837,10 @@ defmodule Situ do
 
   ## Options
 
+      iex> replay = [replay: [interval: {0, 30}, speed: :max]]
+      iex> Situ.to_list(fn p -> Situ.sequence(p, 1, &(&1 * 2), every: 10, align: 0) end, pipeline: replay)
+      [1, 2, 4, 8]
+
   #{Options.docs(Generator.option_schema(:sequence))}
   """
   @doc group: "Generators"
@@ -739,6 +864,9 @@ defmodule Situ do
   @doc """
   Emits one value at the pipeline's start. Reproducible: yes.
 
+      iex> Situ.to_list(fn p -> Situ.return(p, :hello) end)
+      [:hello]
+
   #{Options.docs(Generator.option_schema(:return))}
   """
   @doc group: "Generators"
@@ -756,6 +884,9 @@ defmodule Situ do
 
   Items before the requested or proposed start of the replay are skipped. `sequence/4` describes the times and the end.
   Reproducible: yes.
+
+      iex> Situ.to_list(fn p -> Situ.from_enumerable(p, [{5, :a}, {7, :b}]) end, times: true)
+      [{5, :a}, {7, :b}]
 
   #{Options.docs(Generator.option_schema(:from_enumerable))}
   """
@@ -816,6 +947,11 @@ defmodule Situ do
 
   ## Options
 
+      iex> inputs = [n: for(i <- 0..99, do: {i * 10_000_000, 1.0})]
+      iex> {:ok, outputs} = Situ.Test.run(inputs, &Situ.lowpass(&1.n, rate: 100, cutoff: 5))
+      iex> outputs |> List.last() |> elem(1) |> Float.round(3)
+      1.0
+
   #{Options.docs(Filter.option_schema(:edge))}
   """
   @doc group: "Filters"
@@ -824,6 +960,11 @@ defmodule Situ do
 
   @doc """
   Passes frequencies above `cutoff:`. `lowpass/2` describes samples and responses.
+
+      iex> inputs = [n: for(i <- 0..99, do: {i * 10_000_000, 1.0})]
+      iex> {:ok, outputs} = Situ.Test.run(inputs, &Situ.highpass(&1.n, rate: 100, cutoff: 5))
+      iex> outputs |> List.last() |> elem(1) |> abs() |> Kernel.<(0.1)
+      true
 
   #{Options.docs(Filter.option_schema(:edge))}
   """
@@ -834,6 +975,11 @@ defmodule Situ do
   @doc """
   Passes frequencies inside `band:`. `lowpass/2` describes samples and responses.
 
+      iex> inputs = [n: for(i <- 0..199, do: {i * 10_000_000, 1.0})]
+      iex> {:ok, outputs} = Situ.Test.run(inputs, &Situ.bandpass(&1.n, rate: 100, band: {2, 10}))
+      iex> outputs |> List.last() |> elem(1) |> abs() |> Kernel.<(0.1)
+      true
+
   #{Options.docs(Filter.option_schema(:band))}
   """
   @doc group: "Filters"
@@ -842,6 +988,11 @@ defmodule Situ do
 
   @doc """
   Passes frequencies outside `band:`. `lowpass/2` describes samples and responses.
+
+      iex> inputs = [n: for(i <- 0..199, do: {i * 10_000_000, 1.0})]
+      iex> {:ok, outputs} = Situ.Test.run(inputs, &Situ.bandstop(&1.n, rate: 100, band: {2, 10}))
+      iex> outputs |> List.last() |> elem(1) |> Float.round(3)
+      1.0
 
   #{Options.docs(Filter.option_schema(:band))}
   """
@@ -868,6 +1019,10 @@ defmodule Situ do
   yes.
 
       gaze |> Situ.map(& &1.x) |> Situ.one_euro(min_cutoff: 1.5, slope: 0.01)
+
+      iex> {:ok, outputs} = Situ.Test.run([n: [{0, 1.0}, {10_000_000, 1.2}, {20_000_000, 0.9}]], &Situ.one_euro(&1.n))
+      iex> for {_time, value} <- outputs, do: Float.round(value, 2)
+      [1.0, 1.01, 1.01]
 
   #{Options.docs(Filter.option_schema(:one_euro))}
   """

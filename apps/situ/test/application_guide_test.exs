@@ -49,7 +49,7 @@ defmodule Situ.ApplicationGuideTest do
     assert out =~ ~r/^(1 test, 0 failures|Result: 1 passed)/m
     refute out =~ "warning:"
 
-    [[code]] = blocks("run")
+    code = "run" |> blocks() |> Enum.join("\n")
     assert {out, 0} = mix(dir, ["run", "-e", @running <> code], "test")
     assert out =~ "Visitors"
   end

@@ -93,11 +93,11 @@ defmodule Lab.Router do
   import Situ.Phoenix.Router
 
   pipeline :browser do
-    plug :accepts, ["html"]
-    plug :fetch_session
-    plug :put_root_layout, html: {Lab.Layout, :root}
-    plug :protect_from_forgery
-    plug :put_secure_browser_headers
+    plug(:accepts, ["html"])
+    plug(:fetch_session)
+    plug(:put_root_layout, html: {Lab.Layout, :root})
+    plug(:protect_from_forgery)
+    plug(:put_secure_browser_headers)
   end
 
   defp require_login(conn, _opts) do
@@ -107,27 +107,27 @@ defmodule Lab.Router do
   end
 
   scope "/" do
-    pipe_through :browser
-    get "/login", Lab.Login, :new
-    get "/welcome", Lab.Login, :create
+    pipe_through(:browser)
+    get("/login", Lab.Login, :new)
+    get("/welcome", Lab.Login, :create)
   end
 
   scope "/" do
-    pipe_through [:browser, :require_login]
-    live "/lab", Lab.Page
-    situ_studio "/situ", recordings: "recordings", pipelines: [Lab.Pipeline]
+    pipe_through([:browser, :require_login])
+    live("/lab", Lab.Page)
+    situ_studio("/situ", recordings: "recordings", pipelines: [Lab.Pipeline])
   end
 end
 
 defmodule Lab.Endpoint do
   use Phoenix.Endpoint, otp_app: :situ_phoenix
   @session [store: :cookie, key: "_lab", signing_salt: "lab's cookies", same_site: "Lax"]
-  socket "/live", Phoenix.LiveView.Socket, websocket: [connect_info: [session: @session]]
-  plug Plug.Static, at: "/phoenix", from: {:phoenix, "priv/static"}
-  plug Plug.Static, at: "/live_view", from: {:phoenix_live_view, "priv/static"}
-  plug Plug.Parsers, parsers: [:urlencoded]
-  plug Plug.Session, @session
-  plug Lab.Router
+  socket("/live", Phoenix.LiveView.Socket, websocket: [connect_info: [session: @session]])
+  plug(Plug.Static, at: "/phoenix", from: {:phoenix, "priv/static"})
+  plug(Plug.Static, at: "/live_view", from: {:phoenix_live_view, "priv/static"})
+  plug(Plug.Parsers, parsers: [:urlencoded])
+  plug(Plug.Session, @session)
+  plug(Lab.Router)
 end
 
 defmodule Lab.Errors do

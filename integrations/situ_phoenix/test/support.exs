@@ -23,21 +23,21 @@ defmodule Situ.Phoenix.TestApp do
     import Situ.Phoenix.Router
 
     pipeline :browser do
-      plug :accepts, ["html"]
-      plug :fetch_session
-      plug :protect_from_forgery
-      plug :put_secure_browser_headers
+      plug(:accepts, ["html"])
+      plug(:fetch_session)
+      plug(:protect_from_forgery)
+      plug(:put_secure_browser_headers)
     end
 
     scope "/" do
-      pipe_through :browser
-      get "/login/:name", Login, :create
+      pipe_through(:browser)
+      get("/login/:name", Login, :create)
     end
 
     scope "/lab" do
-      pipe_through [:browser, :require_user]
-      situ_studio "/situ", {Login, :studio_options, []}
-      situ_studio "/guests", viewer?: {Login, :guest?}, read_only: true
+      pipe_through([:browser, :require_user])
+      situ_studio("/situ", {Login, :studio_options, []})
+      situ_studio("/guests", viewer?: {Login, :guest?}, read_only: true)
     end
   end
 
@@ -48,10 +48,10 @@ defmodule Situ.Phoenix.TestApp do
     defmodule Module.concat(__MODULE__, module) do
       use Phoenix.Endpoint, otp_app: :situ_phoenix
       @options [store: :cookie, key: "_lab", signing_salt: "salt", same_site: "Lax"]
-      plug Plug.Parsers, parsers: [:urlencoded, :json], pass: ["*/*"], json_decoder: Jason
-      plug Plug.Head
-      plug Plug.Session, @options
-      plug Router
+      plug(Plug.Parsers, parsers: [:urlencoded, :json], pass: ["*/*"], json_decoder: Jason)
+      plug(Plug.Head)
+      plug(Plug.Session, @options)
+      plug(Router)
 
       def options(port) do
         [

@@ -100,17 +100,21 @@ defmodule Situ.GenStage do
   @doc """
   Returns the events of GenStage producers (a pid or name, or a list of them) as a stream.
 
+  Instead of producers, `from/3` takes a function that starts and returns them. The process of the source calls it when
+  the pipeline starts, and again when the source restarts. Producers that it links to itself end with it.
+
   The options are `type:`, `subscribe:` and the placement options. `subscribe:` holds options for the
   producers, such as `partition:`, `selector:`, `max_demand:` (default 1,000), `min_demand:` (default half of
   `max_demand:`) and `cancel:`. With `cancel: :temporary`, a producer's failure ends only its subscription.
   """
-  @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
-          Situ.Stream.t()
+  @spec from(Situ.Pipeline.t(), producers | (() -> producers), keyword()) :: Situ.Stream.t()
+        when producers: GenServer.server() | [GenServer.server()]
   def from(p, producers, opts \\ [])
 
   def from(%Situ.Graph.Handle{} = p, producers, opts) do
     {type, opts} = Keyword.pop(opts, :type, :any)
-    own = [producers: List.wrap(producers), default_name: "GenStage", outputs: [out: type]]
+    producers = if is_function(producers, 0), do: producers, else: List.wrap(producers)
+    own = [producers: producers, default_name: "GenStage", outputs: [out: type]]
     p |> Situ.Pipeline.add(Situ.GenStage.Source, own ++ opts) |> Situ.Node.streams()
   end
 

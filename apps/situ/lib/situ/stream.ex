@@ -24,4 +24,15 @@ defmodule Situ.Stream do
 
   def with_type(other, _type),
     do: Situ.Argument.raise_invalid!(other, :stream, "Situ.Stream.with_type(stream, :integer)")
+
+  defimpl Inspect do
+    import Inspect.Algebra
+
+    # The name, the type and, if it is not the only one, the output.
+    def inspect(stream, opts) do
+      output = if stream.output == :out, do: "", else: ".#{stream.output}"
+      name = "#{stream.name || "node #{stream.node}"}#{output}"
+      concat(["#Situ.Stream<", to_doc(name, opts), ", ", to_doc(stream.type, opts), ">"])
+    end
+  end
 end

@@ -108,6 +108,26 @@ defmodule Situ.GenStageTest do
       assert Enum.filter(values, &(&1 < 1_000)) == Enum.to_list(0..299)
     end
 
+    test "a function starts the producers with the source" do
+      me = self()
+
+      start = fn ->
+        send(me, {:called_by, self()})
+        [producer(limit: 3), producer(from: 10, limit: 12)]
+      end
+
+      # The producers report to the process that starts them.
+      assert {:ok, _} = run(start)
+      assert Enum.sort(Enum.map(drain(), &elem(&1, 0))) == [0, 1, 2, 10, 11]
+      assert_received {:called_by, pid} when pid != me
+      refute_received {:called_by, _}
+    end
+
+    test "a function that returns no producer fails the start with an error" do
+      assert {:error, %Situ.Error{what: what}} = run(fn -> :no_such_process end)
+      assert what =~ "cannot subscribe to :no_such_process: process not found"
+    end
+
     test "a normal end completes the stream" do
       for finish <- [{:cancel, :normal}, {:cancel, {:shutdown, :done}}, {:exit, :shutdown}] do
         assert {:ok, _} = run(producer(limit: 3, finish: finish))

@@ -1,23 +1,23 @@
 defmodule Situ.Telemetry do
   @moduledoc """
-  Emits the events of the platform in the format of the `:telemetry` library.
+  Emits the events of the platform, in the format of the `:telemetry` library.
 
-  `:telemetry` itself is not a dependency. Handlers and events have the same form, so a host application that uses it
-  can forward events:
+  If the application has the `:telemetry` library loaded, its handlers receive all events:
 
-      forward = fn event, measurements, metadata, _config ->
-        :telemetry.execute(event, measurements, metadata)
-      end
+      :telemetry.attach("my-app", [:situ, :pipeline, :stop], &MyApp.handle_event/4, nil)
 
-      Situ.Telemetry.attach("forward", [:situ, :pipeline, :stop], forward, nil)
+  Situ does not depend on the library. Without it, `attach/4` and `detach/1` of this module do the same.
 
   A handler that raises is detached and logged once, so a broken observer cannot stop a stream.
 
   | event | measurements | metadata |
   |---|---|---|
   | `[:situ, :pipeline, :start]` | `system_time` (ns) | `pipeline` |
-  | `[:situ, :pipeline, :stop]` | `duration` (ns) | `pipeline`, `errors` |
+  | `[:situ, :pipeline, :stop]` | `duration` (ns) | `pipeline`, `errors` (their number), `report` (`Situ.Pipeline.Report`) |
   | `[:situ, :component, :error]` | `originating_time` (ns) | `pipeline`, `component`, `error` |
+  | `[:situ, :infer, :load]` | `duration` (native) | `model` |
+
+  The events of a pipeline are emitted by its process.
 
       iex> Situ.Telemetry.attach("doc", [:situ, :doc], fn _event, m, _meta, pid -> send(pid, m.n) end, self())
       :ok
@@ -30,6 +30,8 @@ defmodule Situ.Telemetry do
   """
   require Logger
 
+  # The library is only available if the host application depends on it.
+  @compile {:no_warn_undefined, [:telemetry]}
   @table __MODULE__
 
   @type event :: [atom(), ...]
@@ -71,7 +73,7 @@ defmodule Situ.Telemetry do
     end
   end
 
-  @doc "Calls every handler of `event`."
+  @doc "Calls every handler of `event`, and those of the `:telemetry` library if it is loaded."
   @spec execute(event(), map(), map()) :: :ok
   def execute(event, measurements, metadata) do
     for {_, id, handler, config} = row <- :ets.lookup(@table, event) do
@@ -86,6 +88,9 @@ defmodule Situ.Telemetry do
           )
       end
     end
+
+    if function_exported?(:telemetry, :execute, 3),
+      do: :telemetry.execute(event, measurements, metadata)
 
     :ok
   end

@@ -1,7 +1,8 @@
 defmodule Situ.Application.Directory do
   @moduledoc false
-  # The pipelines of this node. Each pipeline has an entry with its label, and a pipeline whose `name:` is an atom is
-  # also registered under that atom. One process monitors them all (a `Registry` would link itself to each pipeline).
+  # The pipelines of this node. Each pipeline has an entry with its label. A pipeline whose `name:` is an atom,
+  # `{:via, module, key}` or `{:global, key}` is also registered under that name. One process monitors them all (a
+  # `Registry` would link itself to each pipeline).
   use GenServer
   alias Situ.Error
 
@@ -13,7 +14,7 @@ defmodule Situ.Application.Directory do
   @doc "Registers the calling process as a pipeline; does nothing if the directory process is not running."
   @spec register_pipeline(%{
           :name => String.t(),
-          :registered => atom(),
+          :registered => GenServer.name() | nil,
           optional(atom()) => term()
         }) ::
           :ok | {:error, Error.t()}
@@ -26,6 +27,9 @@ defmodule Situ.Application.Directory do
 
   defp register_name(nil), do: :ok
 
+  defp register_name({:via, module, key} = name), do: register_key(module, key, name)
+  defp register_name({:global, key} = name), do: register_key(:global, key, name)
+
   defp register_name(name) do
     Process.register(self(), name)
     :ok
@@ -33,13 +37,45 @@ defmodule Situ.Application.Directory do
     ArgumentError -> {:error, name_taken_error(name)}
   end
 
+  defp register_key(module, key, name) do
+    case module.register_name(key, self()) do
+      :yes -> :ok
+      :no -> {:error, name_taken_error(name)}
+    end
+  rescue
+    error ->
+      {:error,
+       Error.new(:name_taken, "cannot register the pipeline as #{inspect(name)}",
+         why: Exception.message(error),
+         fix: "start the registry before the pipeline"
+       )}
+  end
+
   @doc "Releases the name of the calling process, so that it is free before any other process sees the pipeline end."
-  @spec unregister_pipeline(%{:registered => atom(), optional(atom()) => term()}) :: :ok
+  @spec unregister_pipeline(%{
+          :registered => GenServer.name() | nil,
+          optional(atom()) => term()
+        }) :: :ok
   def unregister_pipeline(%{registered: name}) do
-    if name != nil and Process.whereis(name) == self(), do: Process.unregister(name)
+    unregister_name(name)
     GenServer.call(__MODULE__, :leave)
   catch
     :exit, _ -> :ok
+  end
+
+  defp unregister_name(nil), do: :ok
+
+  defp unregister_name(name) do
+    if GenServer.whereis(name) == self() do
+      case name do
+        {:via, module, key} -> module.unregister_name(key)
+        {:global, key} -> :global.unregister_name(key)
+        name -> Process.unregister(name)
+      end
+    end
+  rescue
+    # The registry has ended before the pipeline.
+    ArgumentError -> :ok
   end
 
   @doc "Returns the label and process of each pipeline, sorted by label."

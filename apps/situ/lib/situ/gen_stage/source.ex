@@ -5,7 +5,7 @@ defmodule Situ.GenStage.Source do
   use Situ.Component,
     outputs: [out: :any],
     options: [
-      producers: [type: {:list, :any}, default: []],
+      producers: [type: {:or, [{:list, :any}, {:fun, 0}]}, default: []],
       subscribe: [type: :keyword, default: []]
     ]
 
@@ -21,9 +21,13 @@ defmodule Situ.GenStage.Source do
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    state = Enum.reduce(opts[:producers], state, &start_subscription(&2, &1, opts[:subscribe]))
+    producers = list_producers(opts[:producers])
+    state = Enum.reduce(producers, state, &start_subscription(&2, &1, opts[:subscribe]))
     {if(opts[:producers] == [], do: [{:complete, :infinity}], else: []), state}
   end
+
+  defp list_producers(producers) when is_list(producers), do: producers
+  defp list_producers(start), do: List.wrap(start.())
 
   defp start_subscription(state, producer, opts) do
     case subscribe_producer(state, producer, opts) do

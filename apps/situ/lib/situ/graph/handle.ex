@@ -9,4 +9,13 @@ defmodule Situ.Graph.Handle do
   defstruct [:pid, :ref, :scope]
 
   @type t :: %__MODULE__{pid: pid(), ref: reference(), scope: String.t() | nil}
+
+  defimpl Inspect do
+    import Inspect.Algebra
+
+    def inspect(handle, opts) do
+      scope = if handle.scope, do: concat([", in ", to_doc(handle.scope, opts)]), else: empty()
+      concat(["#Situ.Pipeline<", to_doc(handle.pid, opts), scope, ">"])
+    end
+  end
 end

@@ -318,11 +318,15 @@ defmodule Situ.Pipeline.LifecycleRunner do
 
     Telemetry.execute([:situ, :pipeline, :stop], %{duration: duration}, %{
       pipeline: state.settings.name,
-      errors: length(state.life.errors)
+      errors: length(state.life.errors),
+      report: fetch_report(result)
     })
 
     %{state | view: %{state.view | outcome: result}}
   end
+
+  defp fetch_report({:ok, report}), do: report
+  defp fetch_report({:error, error}), do: error.meta.report
 
   @doc "Calls the `:progress` handlers and schedules the next call."
   @spec report_progress(State.t()) :: State.t()

@@ -5,10 +5,11 @@ defmodule Situ.Pipeline.Settings do
 
   @schema [
     name: [
-      type: {:or, [:string, :atom]},
+      type: {:or, [:string, :atom, {:tuple, [:atom, :any, :any]}, {:tuple, [:atom, :any]}]},
       doc:
         "The pipeline's name; by default the module's last name, or \"Pipeline\". " <>
-          "An atom is also registered, and every function takes it as the pipeline."
+          "An atom, `{:via, module, key}` or `{:global, key}` is also registered, and every function takes it as " <>
+          "the pipeline. The key is then the label in lists, logs and metrics."
     ],
     replay: [
       type: :keyword,
@@ -104,13 +105,14 @@ defmodule Situ.Pipeline.Settings do
   def parse(opts, mode, spec) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, replay} <- Options.validate(opts[:replay], @replay),
+         :ok <- check_name(opts[:name]),
          :ok <- check_interval(replay[:interval]),
          :ok <- check_clock(opts[:clock]),
          :ok <- check_spec(spec) do
       {:ok,
        %__MODULE__{
          name: name_string(opts[:name]) || default_name(spec),
-         registered: if(is_atom(opts[:name]), do: opts[:name]),
+         registered: if(not is_binary(opts[:name]), do: opts[:name]),
          clock: opts[:clock],
          mode: mode,
          default_policy: opts[:default_policy] || Delivery.unlimited(),
@@ -130,7 +132,29 @@ defmodule Situ.Pipeline.Settings do
 
   defp name_string(nil), do: nil
   defp name_string(name) when is_binary(name), do: name
-  defp name_string(name), do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
+  defp name_string({:via, Registry, key}), do: name_string(elem(key, 1))
+  defp name_string({:via, _module, key}), do: name_string(key)
+  defp name_string({:global, key}), do: name_string(key)
+
+  defp name_string(name) when is_atom(name),
+    do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
+
+  defp name_string(key), do: Kernel.inspect(key)
+
+  defp check_name({:via, Registry, key}) when elem(key, 0) != nil and tuple_size(key) in 2..3,
+    do: :ok
+
+  defp check_name({:via, module, _key}) when is_atom(module) and module != Registry, do: :ok
+  defp check_name({:global, _key}), do: :ok
+  defp check_name(name) when not is_tuple(name), do: :ok
+
+  defp check_name(name) do
+    {:error,
+     Error.new(:bad_option, "option :name cannot be #{Kernel.inspect(name)}",
+       why:
+         "a tuple must be {:via, Registry, {registry, key}}, {:via, module, key} or {:global, key}"
+     )}
+  end
 
   # An explicit clock implies that messages should wait for it.
   defp default_speed(:run, nil), do: :max

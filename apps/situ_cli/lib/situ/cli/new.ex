@@ -104,7 +104,9 @@ defmodule Situ.CLI.New do
       else: "\n`situ` is not on your PATH: export PATH=#{Checkout.folder()}/bin:$PATH\n"
   end
 
-  defp add_part(:visualizer, name) do
+  @doc "Adds a part to the project in the current folder, and prints its files. Returns the exit status."
+  @spec add_part(:component | :task | :visualizer, String.t()) :: 0
+  def add_part(:visualizer, name) do
     check_project()
 
     case Plugins.Template.write(name, "visualizers") do
@@ -118,7 +120,7 @@ defmodule Situ.CLI.New do
     end
   end
 
-  defp add_part(kind, text) do
+  def add_part(kind, text) do
     project = check_project()
     name = Error.unwrap!(Name.parse(text))
     files = Template.part_files(kind, name, project)

@@ -94,6 +94,15 @@ defmodule Situ.CLI.NewTest do
       assert output =~ "Situ.via(stream, Lobby.BlinkDetector)"
       assert File.read!("test/lobby/blink_detector_test.exs") =~ "Lobby.BlinkDetectorTest"
       assert fail(["--component", "blink-detector"]) =~ "already exists"
+
+      generated = capture_io(fn -> Mix.Tasks.Situ.Gen.Component.run(["yawn-detector"]) end)
+      assert generated =~ "Situ.via(stream, Lobby.YawnDetector)"
+      assert File.exists?("test/lobby/yawn_detector_test.exs")
+
+      for wrong <- [["yawn-detector"], ["No Name"], [], ["--help"]] do
+        assert_raise Mix.Error, fn -> Mix.Tasks.Situ.Gen.Component.run(wrong) end
+      end
+
       assert {0, _} = create(["--task", "loud-parts"])
       assert File.read!("lib/lobby/loud_parts.ex") =~ ~s(name: "loud-parts")
       assert {0, _} = create(["--visualizer", "gaze"])

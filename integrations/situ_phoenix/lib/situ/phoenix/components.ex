@@ -9,13 +9,13 @@ defmodule Situ.Phoenix.Components do
   """
   use Phoenix.Component
 
-  attr :stream, :any, required: true, doc: "`{pipeline, name}`, see `Situ.Subscription`"
-  attr :id, :string, default: nil, doc: "required if two panels show streams of the same name"
-  attr :title, :string, default: nil, doc: "default: the stream's name"
-  attr :every, :integer, default: 100, doc: "the minimum time between two drawings in ms"
-  attr :seconds, :integer, default: 10, doc: "the time span of a plot"
-  attr :width, :integer, default: 480, doc: "the width of a plot in pixels"
-  attr :height, :integer, default: 140, doc: "the height of a plot in pixels"
+  attr(:stream, :any, required: true, doc: "`{pipeline, name}`, see `Situ.Subscription`")
+  attr(:id, :string, default: nil, doc: "required if two panels show streams of the same name")
+  attr(:title, :string, default: nil, doc: "default: the stream's name")
+  attr(:every, :integer, default: 100, doc: "the minimum time between two drawings in ms")
+  attr(:seconds, :integer, default: 10, doc: "the time span of a plot")
+  attr(:width, :integer, default: 480, doc: "the width of a plot in pixels")
+  attr(:height, :integer, default: 140, doc: "the height of a plot in pixels")
 
   @doc """
   Shows a stream of a running pipeline in a LiveView: numbers as a plot of the last seconds, images as a picture, all

@@ -36,7 +36,7 @@ defmodule Situ.Phoenix.Router do
     quote bind_quoted: [path: path, opts: opts] do
       # A module can be forwarded to only once in a router, which would permit only one studio.
       scope path, alias: false, as: false do
-        match :*, "/*situ_path", Situ.Phoenix.Plug, opts
+        match(:*, "/*situ_path", Situ.Phoenix.Plug, opts)
       end
     end
   end
