@@ -12,6 +12,7 @@ defmodule Situ.Studio.MixProject do
         :situ_media,
         :situ_space,
         :situ_dataset,
+        :situ_experiment,
         :situ_bridge,
         :situ_link,
         :situ_cluster,

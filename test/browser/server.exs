@@ -10,6 +10,7 @@ Code.require_file("plugin_fixture.exs", __DIR__)
 Code.require_file("map_fixture.exs", __DIR__)
 Code.require_file("mask_fixture.exs", __DIR__)
 Code.require_file("session_fixture.exs", __DIR__)
+Code.require_file("experiment_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Recordings}
 
 [work | _] = System.argv()
@@ -252,6 +253,11 @@ SessionFixture.create(studied_folder, folder)
 {:ok, studied} =
   Situ.Studio.start_link(id: "studied", port: 0, path: studied_folder, layouts: layouts)
 
+# A study with an experiment.
+tuned_folder = Path.join(work, "tuned")
+ExperimentFixture.create(tuned_folder)
+{:ok, tuned} = Situ.Studio.start_link(id: "tuned", port: 0, path: tuned_folder, layouts: layouts)
+
 # A studio that some users may change and others may only view.
 {:ok, shared} =
   Situ.Studio.start_link(
@@ -330,6 +336,7 @@ IO.puts(
       "start" => base.(start),
       "linked" => "situ://127.0.0.1:#{Situ.Link.Server.port(linked)}",
       "studied" => base.(studied),
+      "tuned" => base.(tuned),
       "studied_folder" => studied_folder,
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),

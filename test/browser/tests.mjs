@@ -14,6 +14,7 @@ import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
 import "./session_tests.mjs";
 import "./dataset_tests.mjs";
+import "./experiment_tests.mjs";
 import "./space_tests.mjs";
 import "./plugin_tests.mjs";
 import "./mask_tests.mjs";

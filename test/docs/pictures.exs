@@ -19,7 +19,7 @@ Code.compile_string(hd(blocks.("live-views.md", "defmodule Guide.Counter")))
 hall |> String.split("rules =") |> hd() |> Code.compile_string()
 Code.require_file("scenes.exs", __DIR__)
 
-for app <- [:situ_studio, :situ_cluster, :situ_link, :situ_bridge, :situ_infer, :situ_assistant],
+for app <- [:situ_studio, :situ_examples, :situ_cluster, :situ_link, :situ_bridge, :situ_infer, :situ_assistant],
     do: {:ok, _} = Application.ensure_all_started(app)
 
 [folder] = System.argv()
@@ -122,6 +122,21 @@ end
 
 {failure, _} =
   Code.eval_string(race <> "\n" <> String.replace(check, "{failure.kind", "failure\n#"))
+
+# The experiment of the guide, over ten sessions.
+[tune | _] = blocks.("experiments.md", "use Situ.Experiment")
+[{tune, _}] = Code.compile_string(tune)
+demo = Application.app_dir(:situ_examples, "priv/demo")
+
+clips =
+  for name <- ~w(talk2 talk3),
+      do: {Path.join(demo, name <> ".mp4"), Path.join(demo, name <> ".truth.json")}
+
+{:ok, dataset} = Situ.Examples.ClipVariants.create_dataset(clips, Path.join(folder, "experiment"))
+{:ok, {results, run}} = Situ.Experiment.Runner.run(tune, dataset, jobs: 2)
+{:ok, _} = Situ.Experiment.Baseline.promote_set(results, run, 2)
+comment = "Takes the noise for a voice. Try a higher threshold?"
+:ok = Situ.Experiment.Comments.add_comment(results, {run["run"], 7}, comment, "reviewer")
 
 # What a notebook shows of a recording.
 code = "import situ, sys; print(situ.open(sys.argv[1])._repr_html_())"

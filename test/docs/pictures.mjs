@@ -62,6 +62,21 @@ const PICTURES = {
     await page.evaluate(() => window.situStudio.time.dispatch({ type: "cursor", t: 8e9 }));
     await page.waitForTimeout(2000);
   },
+  experiments: async (page) => {
+    await page.setViewportSize({ width: 1400, height: 860 });
+    await page.goto(`${main}x/experiment/study.json?set=7&over=min_silence`);
+    await page.waitForSelector("#sets tbody tr");
+  },
+  difference: async (page) => {
+    await page.setViewportSize({ width: 1400, height: 760 });
+    await page.goto(`${main}x/experiment/study.json`);
+    await page.click("#set-7 .cell");
+    await ready(page);
+    await page.waitForTimeout(4000);
+    await page.keyboard.press("n");
+    await page.waitForTimeout(500);
+    await page.keyboard.press("n");
+  },
   notebook: async (page) => {
     await page.setViewportSize({ width: 900, height: 180 });
     await page.emulateMedia({ colorScheme: "light" });

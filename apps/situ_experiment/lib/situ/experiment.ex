@@ -41,8 +41,10 @@ defmodule Situ.Experiment do
   | `runs/RUN.json` | a run: its sets and sessions, and everything that it depended on (commit, versions, machine, hashes) |
   | `outputs/` | the streams that `build/3` returned, a recording for each result |
   | `stages/` | the streams of `cached/3` |
+  | `differences/` | recordings of where two sets differ in a session, which the studio and `check` write |
+  | `comments.json`, `baseline.json` | what people wrote about the sets, and the set that others are compared with |
 
-  The folder can be deleted; the next run computes everything again.
+  The next run computes everything again if the folder was deleted, except for comments and the baseline.
   """
   # See docs/adr/0171-experiments-are-modules-with-four-callbacks.md.
   alias Situ.Experiment.{Input, StageCache}

@@ -19,6 +19,7 @@ defmodule Situ.Metric do
   | `detections/1` | boxes in images | `map`, `recall` |
   | `tracks/1` | maps from ids to boxes | `mota`, `idf1`, `switches` |
   | `transcript/1` | texts | `wer` |
+  | `speaker_transcript/1` | who said what: annotations, maps from speakers to texts | `cpwer`, `tcpwer` |
   | `latency/1` | creation time minus originating time | `p95_s`, `p50_s`, `max_s` |
   | `cost/0` | the pipeline's components | `busy_s_per_s` |
   | a function | anything: it returns a number, or a map of numbers | `value`, or the names in the map |
@@ -45,6 +46,7 @@ defmodule Situ.Metric do
     IntervalScore,
     MeanScore,
     RegressionScore,
+    SpeakerWordScore,
     TrackScore,
     WordScore
   }
@@ -124,6 +126,16 @@ defmodule Situ.Metric do
                   ]
                 ]
 
+  @speaker_transcript @transcript ++
+                        [
+                          collar: [
+                            type: :time_ns,
+                            default: 5_000_000_000,
+                            doc:
+                              "`tcpwer`: the largest distance between a true word and its counterpart."
+                          ]
+                        ]
+
   @doc """
   Compares intervals, such as who speaks when, on each track.
 
@@ -179,6 +191,19 @@ defmodule Situ.Metric do
   """
   @spec transcript(keyword()) :: t()
   def transcript(opts), do: build_metric(:transcript, WordScore, "wer", opts, @transcript)
+
+  @doc """
+  Compares who said what: the word error rate when the words of each speaker are joined, and each speaker of the output
+  is compared with the true speaker that gives the least errors (`cpwer`). The names of the speakers need not agree.
+  `tcpwer` also counts words at the wrong time as errors.
+
+  A message is a list of annotations with the speaker as their track, or a map from speakers to texts.
+
+  #{Options.docs(@speaker_transcript)}
+  """
+  @spec speaker_transcript(keyword()) :: t()
+  def speaker_transcript(opts),
+    do: build_metric(:speaker_transcript, SpeakerWordScore, "cpwer", opts, @speaker_transcript)
 
   @doc """
   Measures how long after its originating time each message of `stream:` was created. This needs a replay in real time:

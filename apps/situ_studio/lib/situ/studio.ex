@@ -237,6 +237,11 @@ defmodule Situ.Studio do
     studio |> live_server() |> Situ.Live.url(path)
   end
 
+  @doc "Returns the address of the page that shows the experiments over a dataset, by the dataset's id."
+  @spec experiments_url(Supervisor.supervisor(), String.t()) :: String.t()
+  def experiments_url(studio, dataset),
+    do: studio |> live_server() |> Situ.Live.url("/" <> Web.Paths.experiments_path(dataset))
+
   @doc """
   Returns the view-only address: the server refuses to change, write or run anything for its users. Returns `nil` if
   the studio has no token (it is local only); set one with `viewer_token:`.

@@ -30,17 +30,11 @@ defmodule Situ.Build.Architecture do
     situ_live: [:situ_types]
   }
 
-  @below_studio Map.keys(@allowed) -- [:situ_assistant, :situ_build, :situ_experiment]
+  @below_studio Map.keys(@allowed) -- [:situ_assistant, :situ_build]
   @allowed Map.merge(@allowed, %{
              situ_studio: @below_studio,
-             situ_cli: [:situ_assistant, :situ_experiment, :situ_studio | @below_studio],
-             situ_examples: [
-               :situ_assistant,
-               :situ_cli,
-               :situ_experiment,
-               :situ_studio
-               | @below_studio
-             ]
+             situ_cli: [:situ_assistant, :situ_studio | @below_studio],
+             situ_examples: [:situ_assistant, :situ_cli, :situ_studio | @below_studio]
            })
 
   @doc """

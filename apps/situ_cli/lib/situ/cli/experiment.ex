@@ -34,6 +34,11 @@ defmodule Situ.CLI.Experiment do
               ),
               Option.new(:trials, :integer, "the number of sets of a random search", default: 20),
               Option.new(:seed, :integer, "the seed of all random choices", default: 1),
+              Option.new(
+                :studio,
+                :flag,
+                "show the experiment in the browser while it runs, and until Ctrl-C"
+              ),
               top_option()
             ],
         examples: [
@@ -98,7 +103,8 @@ defmodule Situ.CLI.Experiment do
       },
       %Verb{
         words: ["experiment", "promote"],
-        summary: "write the values of a set as the baseline of later checks",
+        summary:
+          "make a set the baseline of its experiment, and write it to a file for later checks",
         about:
           "Tolerances in the file may be edited; a metric with the tolerance null is not checked.",
         arguments: [dataset: @dataset],
@@ -113,14 +119,30 @@ defmodule Situ.CLI.Experiment do
       %Verb{
         words: ["experiment", "check"],
         summary: "check that no metric has fallen below a baseline; status 1 if one has",
-        about:
-          "Runs the baseline's parameters over its sessions, and names the sessions and times that became worse.",
+        about: """
+        Runs the baseline's parameters over its sessions, and names the sessions and times that became worse. For up to
+        three of them, it records the output of the baseline, the output now, the truth and their differences.
+
+        With --bisect, it looks for the commit that made the metric fall: the commits after GOOD in the repository of
+        the experiment are each checked in a separate worktree.
+        """,
         arguments: [file: @file_argument, dataset: @dataset],
         options: [
-          Option.new(:baseline, :path, "the baseline", value: "FILE", default: "baseline.json"),
+          Option.new(
+            :baseline,
+            :path,
+            "the baseline (default: baseline.json, else the one that was promoted last)",
+            value: "FILE"
+          ),
+          Option.new(:bisect, :string, "find the commit after GOOD that made the metric fall",
+            value: "GOOD"
+          ),
           Option.new(:jobs, :integer, "the number of results to compute in parallel", default: 1)
         ],
-        examples: ["situ experiment check tune.exs study.json --baseline baseline.json"],
+        examples: [
+          "situ experiment check tune.exs study.json --baseline baseline.json",
+          "situ experiment check tune.exs study.json --bisect HEAD~20"
+        ],
         run: &Checking.check_baseline/2
       },
       %Verb{

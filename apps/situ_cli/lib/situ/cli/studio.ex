@@ -156,8 +156,25 @@ defmodule Situ.CLI.Studio do
     )
   end
 
+  @doc "Starts a studio that shows the experiments over a dataset, and prints and opens its address."
+  @spec show_experiments(Path.t(), keyword()) :: Supervisor.supervisor()
+  def show_experiments(dataset, opts) do
+    for app <- [:situ_bridge, :situ_link, :situ_studio],
+        do: {:ok, _} = Application.ensure_all_started(app)
+
+    # Port 4040 may be in use by another studio.
+    {:ok, studio} = Studio.start_link(path: dataset, port: 0)
+    url = Studio.experiments_url(studio, Studio.only_item(studio))
+    print = if opts[:json], do: &Output.warn/1, else: &Output.puts/1
+    print.("Situ Studio shows the experiments over #{dataset} at #{url}")
+    Situ.CLI.Desktop.open_url(url)
+    studio
+  end
+
+  @doc "Serves a studio until SIGTERM or until it ends; returns the exit status."
+  @spec wait_for_exit(Supervisor.supervisor()) :: 0 | 1
   # Service managers stop the studio with SIGTERM.
-  defp wait_for_exit(studio) do
+  def wait_for_exit(studio) do
     Interrupt.with_message(:stop, fn ->
       receive do
         :stop ->

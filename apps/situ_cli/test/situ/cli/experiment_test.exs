@@ -47,6 +47,7 @@ defmodule Situ.CLI.ExperimentTest do
     assert text =~ "3 sets, 4 sessions"
     assert text =~ ~r/\*  2 +threshold=0.4 +4  [\d.]+ \[/
     assert text =~ "worst sessions by speaking.time_f1: p"
+    assert text =~ "where they differ: situ studio #{study}"
 
     assert {0, [%{"status" => "finished", "computed" => 12}]} = run_json(["list", study])
     assert {0, text} = run(["show", study, "--sessions", "--top", "1"])
@@ -92,6 +93,25 @@ defmodule Situ.CLI.ExperimentTest do
     assert text =~ ~r/speaking.time_f1 +worse/
     assert text =~ "fell in p"
     assert text =~ ~r/missed from [\d.]+ s to [\d.]+ s/
+
+    # The outputs, the truth and their differences are recorded for the worst sessions.
+    recorded = Regex.scan(~r/difference in (p\d) is recorded: situ studio (\S+)/, text)
+    assert length(recorded) == 3
+
+    for [_, session, path] <- recorded do
+      {:ok, %{title: title, count: count}} = Situ.Experiment.Difference.describe_recording(path)
+      assert title =~ ~r/^#{session}: set 2 of run \S+ and the baseline of run /
+      assert count > 0
+    end
+  end
+
+  test "without a file, the baseline that was promoted last is checked", context do
+    %{tune: file, study: study, tmp_dir: root} = context
+    {0, _} = run(["run", file, study])
+    {0, _} = run(["promote", study, "-o", Path.join(root, "other.json")])
+    assert {0, text} = with_warnings(fn -> run(["check", file, study]) end)
+    assert text =~ ~r/speaking.time_f1 +ok/
+    assert fails(["check", file, study, "--bisect", "HEAD"]) =~ "no commits after"
   end
 
   test "a run is reproduced", %{tune: file, study: study} do

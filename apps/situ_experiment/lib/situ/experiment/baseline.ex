@@ -30,12 +30,25 @@ defmodule Situ.Experiment.Baseline do
        %{
          "experiment" => run["experiment"],
          "run" => run["run"],
+         "set" => number,
          "parameters" => row.parameters,
          "sessions" => results |> Map.keys() |> Enum.sort(),
          "metrics" => Map.new(run["metrics"], &{&1["name"], describe_metric(&1, row, results)}),
          "environment" => run["environment"]
        }}
     end
+  end
+
+  @doc "Returns the path of the baseline of an experiment, in its folder."
+  @spec promoted_path(Path.t()) :: Path.t()
+  def promoted_path(folder), do: Path.join(folder, "baseline.json")
+
+  @doc "Makes a set the baseline of its experiment, and returns it. Errors: see `from_run/3`, and `:not_saved`."
+  @spec promote_set(Path.t(), map(), pos_integer()) :: {:ok, t()} | {:error, Error.t()}
+  def promote_set(folder, run, number) do
+    with {:ok, baseline} <- from_run(folder, run, number),
+         :ok <- ResultsFile.write_json(promoted_path(folder), baseline),
+         do: {:ok, baseline}
   end
 
   defp check_complete(results) do
@@ -70,7 +83,7 @@ defmodule Situ.Experiment.Baseline do
   defp default_tolerance("busy_s_per_s", _value), do: nil
 
   defp default_tolerance(main, _)
-       when main in ~w(f1 time_f1 precision recall kappa accuracy macro_f1 map mota idf1 r2 wer),
+       when main in ~w(f1 time_f1 precision recall kappa accuracy macro_f1 map mota idf1 r2 wer cpwer tcpwer),
        do: @score_tolerance
 
   defp default_tolerance(_main, nil), do: nil

@@ -3,14 +3,17 @@ defmodule Situ.Experiment.Parameters do
   # Sets of parameters: all combinations of the values, their names for people and their form in JSON.
   alias Situ.{Error, Time}
 
-  @enforce_keys [:number, :values, :json, :label]
-  defstruct [:number, :values, :json, :label]
+  @enforce_keys [:number, :values, :json, :texts, :label]
+  defstruct [:number, :values, :json, :texts, :label]
 
-  @typedoc "`json` identifies the set in files; `label` is for people: `threshold=0.5 window=400 ms`."
+  @typedoc """
+  `json` identifies the set in files; `texts` and `label` are for people: `400 ms`, `threshold=0.5 window=400 ms`.
+  """
   @type t :: %__MODULE__{
           number: pos_integer(),
           values: map(),
           json: map(),
+          texts: %{String.t() => String.t()},
           label: String.t()
         }
 
@@ -87,6 +90,7 @@ defmodule Situ.Experiment.Parameters do
       number: number,
       values: Map.new(set, fn {name, value, _} -> {name, value} end),
       json: Map.new(set, fn {name, value, _} -> {to_string(name), json_value(value)} end),
+      texts: Map.new(set, fn {name, v, kind} -> {to_string(name), format_value(v, kind)} end),
       label:
         Enum.map_join(set, " ", fn {name, value, kind} ->
           "#{name}=#{format_value(value, kind)}"

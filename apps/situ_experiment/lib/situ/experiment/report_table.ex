@@ -130,5 +130,21 @@ defmodule Situ.Experiment.ReportTable do
     end)
   end
 
+  @doc "Renders the report on a run in Markdown."
+  @spec render_report([Summary.row()], map()) :: String.t()
+  def render_report(rows, run) do
+    lines = Enum.join(describe_run(rows, run), "\n\n")
+
+    """
+    # #{run["experiment"]}
+
+    #{lines}
+
+    #{rows |> table_rows(run) |> render_markdown()}
+
+    Values in brackets are 95 % intervals: a bootstrap over sessions, seed #{run["seed"]}.
+    """
+  end
+
   defp escape_cell(text), do: text |> String.replace("|", "\\|") |> String.replace(~r/\s+/, " ")
 end

@@ -78,7 +78,7 @@ defmodule Situ.Experiment.Runner do
       run: run,
       listed: MapSet.new(),
       results: ResultsFile.read_results(plan.folder),
-      total: count_trials(plan),
+      total: run["total"],
       done: 0,
       computed: 0,
       failed: 0,
@@ -119,15 +119,23 @@ defmodule Situ.Experiment.Runner do
       "method" => to_string(plan.opts[:method]),
       "seed" => plan.opts[:seed],
       "metrics" => describe_metrics(plan.module),
-      "sets" =>
-        for(
-          set <- plan.sets,
-          do: %{"number" => set.number, "label" => set.label, "parameters" => set.json}
-        ),
+      "parameters" => for({name, _} <- plan.module.parameters(), do: to_string(name)),
+      "sets" => Enum.map(plan.sets, &describe_set/1),
       "sessions" => Enum.map(plan.sessions, & &1.name),
       "inputs" => stamps,
       "environment" => Provenance.describe_environment(context, plan.opts[:file]),
+      "total" => count_trials(plan),
+      "kept" => 0,
       "trials" => []
+    }
+  end
+
+  defp describe_set(set) do
+    %{
+      "number" => set.number,
+      "label" => set.label,
+      "parameters" => set.json,
+      "texts" => set.texts
     }
   end
 
@@ -187,9 +195,10 @@ defmodule Situ.Experiment.Runner do
         Trial.new(state.context, session, set, stamp)
       end
 
-    state = Enum.reduce(trials, state, &list_trial/2)
-    Error.unwrap!(RunRecord.write_run(state.plan.folder, record_trials(state)))
     {kept, waiting} = Enum.split_with(trials, &finished?(state.results[&1.key], &1))
+    state = Enum.reduce(trials, state, &list_trial/2)
+    state = update_in(state.run["kept"], &(&1 + length(kept)))
+    Error.unwrap!(RunRecord.write_run(state.plan.folder, record_trials(state)))
     state = Enum.reduce(kept, state, &keep_result/2)
     compute_trials(state, waiting)
   end
@@ -255,7 +264,13 @@ defmodule Situ.Experiment.Runner do
 
   # A set may run over the same session in several rounds of a search.
   defp list_trial(trial, state) do
-    entry = %{"set" => trial.set.number, "session" => trial.session.name, "key" => trial.key}
+    entry = %{
+      "set" => trial.set.number,
+      "session" => trial.session.name,
+      "key" => trial.key,
+      "metrics" => trial.metrics_key
+    }
+
     if entry in state.listed, do: state, else: %{state | listed: MapSet.put(state.listed, entry)}
   end
 

@@ -16,6 +16,7 @@ defmodule Situ.Experiment.Summary do
           number: pos_integer(),
           label: String.t(),
           parameters: map(),
+          texts: %{String.t() => String.t()},
           sessions: non_neg_integer(),
           failures: [{String.t(), String.t()}],
           metrics: %{String.t() => metric_row()}
@@ -37,6 +38,8 @@ defmodule Situ.Experiment.Summary do
       number: set["number"],
       label: set["label"],
       parameters: set["parameters"],
+      texts:
+        set["texts"] || Map.new(set["parameters"], fn {k, v} -> {k, Situ.JSON.encode(v)} end),
       sessions: length(done),
       failures: for(%{"status" => "failed"} = r <- results, do: {r["session"], r["error"]}),
       metrics: Map.new(run["metrics"], &{&1["name"], summarize_metric(&1, done, run["seed"])})

@@ -10,6 +10,7 @@ defmodule Situ.Metric.Measurement do
     IntervalScore,
     MeanScore,
     RegressionScore,
+    SpeakerWordScore,
     StreamReader,
     TrackScore,
     WordScore
@@ -156,11 +157,25 @@ defmodule Situ.Metric.Measurement do
     {TrackScore.count_images(images, opts[:overlap]), []}
   end
 
+  defp compare_streams(:speaker_transcript, truth, output, {_measured, opts}) do
+    clean = text_cleaner(opts)
+
+    read = fn messages ->
+      for {speaker, from, to, text} <- StreamReader.read_utterances(messages),
+          do: {speaker, from, to, clean.(text)}
+    end
+
+    {SpeakerWordScore.count_errors(read.(truth), read.(output), opts[:collar]), []}
+  end
+
   defp compare_streams(:transcript, truth, output, {_measured, opts}) do
-    clean = if opts[:normalize], do: &WordScore.normalize_text/1, else: & &1
+    clean = text_cleaner(opts)
     read = &(&1 |> StreamReader.read_text() |> clean.())
     {WordScore.count_errors(read.(truth), read.(output)), []}
   end
+
+  defp text_cleaner(opts),
+    do: if(opts[:normalize], do: &WordScore.normalize_text/1, else: & &1)
 
   defp label_tracks(segments) do
     for {track, list} <- segments, {from, to, label} <- list, reduce: %{} do

@@ -9,6 +9,7 @@ defmodule Situ.Metric.StoredMetric do
     IntervalScore,
     MeanScore,
     RegressionScore,
+    SpeakerWordScore,
     TrackScore,
     WordScore
   }
@@ -20,6 +21,7 @@ defmodule Situ.Metric.StoredMetric do
               IntervalScore,
               MeanScore,
               RegressionScore,
+              SpeakerWordScore,
               TrackScore,
               WordScore
             ],
@@ -37,6 +39,18 @@ defmodule Situ.Metric.StoredMetric do
       "main" => metric.main,
       "better" => Map.new(better, fn {value, direction} -> {value, to_string(direction)} end)
     }
+    |> Map.merge(describe_streams(metric))
+  end
+
+  # The streams that a metric compares. The studio shows where two sets differ in them.
+  defp describe_streams(%Metric{kind: kind, options: options}) do
+    case {options[:truth], options[:stream]} do
+      {truth, stream} when is_binary(truth) and is_binary(stream) ->
+        %{"kind" => to_string(kind), "truth" => truth, "stream" => stream}
+
+      _ ->
+        %{}
+    end
   end
 
   @doc """

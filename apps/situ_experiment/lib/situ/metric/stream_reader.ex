@@ -118,6 +118,42 @@ defmodule Situ.Metric.StreamReader do
 
   defp message_text(other), do: raise(shape_error("a text", other))
 
+  @doc """
+  Returns who said what and when, as `{speaker, from, to, text}`: annotations with the speaker as their track, maps from
+  speakers to texts, or structs with `speaker` and `text`. A text without an interval is at the time of its message.
+  """
+  @spec read_utterances(Enumerable.t()) :: [
+          {String.t(), Situ.Time.t(), Situ.Time.t(), String.t()}
+        ]
+  def read_utterances(messages), do: Enum.flat_map(messages, &list_utterances(&1.data, &1))
+
+  defp list_utterances(list, message) when is_list(list),
+    do: Enum.flat_map(list, &list_utterances(&1, message))
+
+  defp list_utterances(%Annotation{} = a, _message),
+    do: [{a.track, a.from, a.to, label_of(Map.values(a.values))}]
+
+  defp list_utterances(%{speaker: speaker, text: text} = said, message) when is_binary(text),
+    do: [utterance(speaker, said, message)]
+
+  defp list_utterances(%{} = map, message) when not is_struct(map) do
+    for {speaker, said} <- map do
+      case said do
+        text when is_binary(text) -> utterance(speaker, %{text: text}, message)
+        %{text: text} when is_binary(text) -> utterance(speaker, said, message)
+        other -> raise shape_error("a text for each speaker", other)
+      end
+    end
+  end
+
+  defp list_utterances(other, _message),
+    do: raise(shape_error("annotations, or a map of texts", other))
+
+  defp utterance(speaker, said, message) do
+    time = message.originating_time
+    {text_of(speaker), Map.get(said, :from) || time, Map.get(said, :to) || time, said.text}
+  end
+
   @doc "Returns the number of a message."
   @spec read_number(Message.t()) :: number()
   def read_number(%Message{data: number}) when is_number(number), do: number

@@ -40,22 +40,35 @@ defmodule Situ.Metric.WordScore do
   @impl true
   def compute_values(counts), do: %{"wer" => Ratio.divide(counts["errors"], counts["words"])}
 
-  defp edit_distance(truth, output) do
+  @doc """
+  Returns the least cost of substitutions, deletions and insertions that turn one list into the other. A deletion or an
+  insertion costs 1, and `substitution` returns the cost of two items; 2 or more means that they are no counterparts.
+
+      iex> Situ.Metric.WordScore.edit_distance(~w(the cat sat), ~w(a cat))
+      2
+  """
+  @spec edit_distance([item], [item], (item, item -> non_neg_integer())) :: non_neg_integer()
+        when item: term()
+  def edit_distance(truth, output, substitution \\ &word_cost/2) do
     first_row = Enum.to_list(0..length(output))
 
     truth
     |> Enum.with_index(1)
-    |> Enum.reduce(first_row, fn {word, n}, row -> next_row(row, word, output, n) end)
+    |> Enum.reduce(first_row, fn {word, n}, row ->
+      next_row(row, {word, n}, output, substitution)
+    end)
     |> List.last()
   end
 
-  defp next_row(row, word, output, n) do
+  defp word_cost(word, word), do: 0
+  defp word_cost(_word, _other), do: 1
+
+  defp next_row(row, {word, n}, output, substitution) do
     {cells, _} =
       [row, tl(row), output]
       |> Enum.zip()
       |> Enum.map_reduce(n, fn {diagonal, above, other}, left ->
-        swapped = if word == other, do: diagonal, else: diagonal + 1
-        cell = Enum.min([swapped, above + 1, left + 1])
+        cell = Enum.min([diagonal + substitution.(word, other), above + 1, left + 1])
         {cell, cell}
       end)
 

@@ -9,6 +9,7 @@ defmodule Situ.Metric.ReferenceTest do
     IntervalScore,
     Measure,
     RegressionScore,
+    SpeakerWordScore,
     Statistics,
     TrackScore,
     WordScore
@@ -94,6 +95,28 @@ defmodule Situ.Metric.ReferenceTest do
 
     total = WordScore.compute_values(Measure.merge_all(WordScore, counts))["wer"]
     assert close?(total, reference["total"])
+  end
+
+  test "who said what has the cpWER and tcpWER of meeteval" do
+    utterances =
+      &for [who, from, to, text] <- &1, do: {who, round(from * 1.0e9), round(to * 1.0e9), text}
+
+    for c <- read("meeteval")["cases"] do
+      {truth, output} = {utterances.(c["truth"]), utterances.(c["output"])}
+
+      for {collar, errors} <- c["tcp_errors"] do
+        {seconds, _} = Float.parse(collar)
+        counts = SpeakerWordScore.count_errors(truth, output, round(seconds * 1.0e9))
+
+        assert counts == %{
+                 "words" => c["words"],
+                 "cp_errors" => c["cp_errors"],
+                 "tcp_errors" => errors
+               }
+
+        assert close?(SpeakerWordScore.compute_values(counts)["cpwer"], c["cpwer"])
+      end
+    end
   end
 
   test "tracks have the MOTA, IDF1 and switches of motmetrics" do

@@ -30,6 +30,19 @@ defmodule Situ.Metric.StreamReaderTest do
     assert StreamReader.read_segments(stream) == %{"" => [{0, 10, "idle"}, {10, 20, "walk"}]}
   end
 
+  test "utterances have speakers, times and texts" do
+    said = Annotation.new(0, 10, "Ada", %{"Words" => "good morning"})
+    assert StreamReader.read_utterances([message(10, [said])]) == [{"Ada", 0, 10, "good morning"}]
+    by_name = message(5, %{"Ben" => "hello", 2 => %{text: "yes", from: 1, to: 3}})
+    found = [by_name] |> StreamReader.read_utterances() |> Enum.sort()
+    assert found == [{"2", 1, 3, "yes"}, {"Ben", 5, 5, "hello"}]
+    own = message(7, %{speaker: :cat, text: "meow"})
+    assert StreamReader.read_utterances([own]) == [{"cat", 7, 7, "meow"}]
+
+    for wrong <- ["hello", %{"Ada" => 3}, 5, [nil]],
+        do: assert_raise(Situ.Error, fn -> StreamReader.read_utterances([message(0, wrong)]) end)
+  end
+
   test "messages are paired with the nearest one within the tolerance" do
     pair = fn truth, output, tolerance ->
       for {a, b} <- StreamReader.pair_messages(messages(truth), messages(output), tolerance),

@@ -129,17 +129,25 @@ function undoOrRedo(app, way) {
 
 const hoveredPanel = (app) => app.root.querySelector("[data-panel]:hover");
 
-// Moves the cursor to the nearest start or end of a segment in the lanes of the selected panel, or of all panels.
+// Moves the cursor to the next start of a segment of the snapped stream. If it has no lanes, moves to the next start or
+// end of a segment in the selected panel, or in all panels.
 function stepToChange(app, way) {
-  const chosen = app.root.querySelector("[data-panel].selected") ?? hoveredPanel(app);
-  const own = [...app.views].filter((v) => v.changeTimes && (!chosen || chosen.contains(v.el)));
-  const views = own.length ? own : [...app.views].filter((v) => v.changeTimes);
+  const { snap } = app.client;
+  const starts = snap ? [...app.views].flatMap((v) => v.startTimes?.(snap) ?? []) : [];
+  const all = starts.length ? starts : shownChanges(app);
   const { cursor } = app.time.get();
-  const times = views.flatMap((v) => v.changeTimes()).filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
+  const times = all.filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
   if (!times.length)
     return showToast(way > 0 ? "No later change in the loaded data" : "No earlier change in the loaded data");
   const t = way > 0 ? Math.min(...times) : Math.max(...times);
   app.time.dispatch({ type: "nudge", by: t - cursor });
+}
+
+function shownChanges(app) {
+  const chosen = app.root.querySelector("[data-panel].selected") ?? hoveredPanel(app);
+  const own = [...app.views].filter((v) => v.changeTimes && (!chosen || chosen.contains(v.el)));
+  const views = own.length ? own : [...app.views].filter((v) => v.changeTimes);
+  return views.flatMap((v) => v.changeTimes());
 }
 
 // Toggles a sidebar; whether it is visible now also depends on the width of the window.

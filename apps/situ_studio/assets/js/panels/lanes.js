@@ -70,6 +70,14 @@ export class LanesPanel {
       .flatMap((rows) => rows.flatMap(([a, b]) => (Number.isFinite(b) ? [a, b] : [a])));
   }
 
+  // Returns the times at which segments of a stream begin. A snapped cursor cannot stay at their ends.
+  startTimes(stream) {
+    return this.layers
+      .filter((l) => l.vis.stream === stream)
+      .flatMap((l) => [...(l.channel.segments?.values() ?? [])])
+      .flatMap((rows) => rows.map(([a]) => a));
+  }
+
   // Returns the segment under the mouse as a time interval, or null.
   segmentUnder(e) {
     const at = this.locatePointer(e);

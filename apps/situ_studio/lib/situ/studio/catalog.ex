@@ -14,6 +14,7 @@ defmodule Situ.Studio.Catalog do
   alias Situ.{Dataset, Error}
   alias Situ.Studio.Annotations.Home
   alias Situ.Studio.Datasets.DatasetRef
+  alias Situ.Studio.Experiments.DifferencePart
   alias Situ.Studio.{Layouts, RemoteItems, Stores, StreamReader, Recordings}
 
   # The maximum age of the list of recordings.
@@ -290,27 +291,39 @@ defmodule Situ.Studio.Catalog do
   defp put_dataset(nil, _dataset), do: nil
   defp put_dataset(item, dataset), do: %{item | dataset: dataset}
 
-  defp part_item(id, _dataset, session, [name]) do
-    with {:ok, partition} <- Session.fetch_partition(session, name) do
-      %{store_item(id, partition.path) | title: "#{session.name}: #{name}"}
-    else
-      _ -> nil
+  defp part_item(id, dataset, session, [name]) do
+    case Session.fetch_partition(session, name) do
+      {:ok, partition} -> %{store_item(id, partition.path) | title: "#{session.name}: #{name}"}
+      {:error, _} -> difference_item(id, dataset, session, name)
     end
   end
 
   # A session with only one recording supports everything that the recording supports, such as the export of a part.
   # The store of its annotation layers is not one of its recordings.
   defp part_item(id, dataset, session, []) do
-    case Enum.reject(session.partitions, &SessionLayers.layers_partition?/1) do
-      [one] ->
-        item = store_item(id, one.path)
-        put_session(item, session, Home.session_home(dataset, session.name, one.path))
+    case own_parts(session) do
+      [{_, path}] ->
+        item = store_item(id, path)
+        put_session(item, session, Home.session_home(dataset, session.name, path))
 
-      recordings ->
-        parts = for p <- recordings, do: {p.name, p.path}
+      parts ->
         item = %Item{id: id, title: session.name, kind: :session, parts: parts}
         put_session(item, session, Home.session_home(dataset, session.name))
     end
+  end
+
+  # The outputs of an experiment's sets are shown with the session's recordings.
+  defp difference_item(id, dataset, session, name) do
+    with {:ok, path, title} <- DifferencePart.fetch_recording(dataset, name) do
+      parts = own_parts(session) ++ [{DifferencePart.part_name(), path}]
+      %Item{id: id, title: title, kind: :session, parts: parts}
+    else
+      :error -> nil
+    end
+  end
+
+  defp own_parts(session) do
+    for p <- session.partitions, not SessionLayers.layers_partition?(p), do: {p.name, p.path}
   end
 
   defp put_session(item, session, layers),

@@ -5,6 +5,9 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.ValuePath
   doctest Situ.Studio.Int64
   doctest Situ.Studio.Comparison
+  doctest Situ.Studio.Experiments.Axis
+  doctest Situ.Studio.Experiments.SetList
+  doctest Situ.Studio.Web.Experiment.SetParams
   doctest Situ.Studio.PipelineView.FoldedGraph
   doctest Situ.Studio.PipelineView.Waits
   doctest Situ.Studio.PipelineView.Highlighting

@@ -1,17 +1,30 @@
 defmodule Situ.CLI.Experiment.Checking do
   @moduledoc false
   # `situ experiment promote`, `check` and `reproduce`: baselines, and the same results again.
-  alias Situ.CLI.Experiment.{Loading, Running}
+  alias Situ.CLI.Experiment.{Bisecting, Loading, Running}
   alias Situ.CLI.{Output, Terminal}
-  alias Situ.Experiment.{Baseline, ReportTable, Reproduction, ResultsFile, Summary}
-  alias Situ.Error
+  alias Situ.{Dataset, Error}
 
-  @doc "Writes the baseline of a set."
+  alias Situ.Experiment.{
+    Baseline,
+    DifferenceFiles,
+    ReportTable,
+    Reproduction,
+    ResultsFile,
+    RunRecord,
+    Summary
+  }
+
+  @default_file "baseline.json"
+  # Differences of more sessions are found in the studio.
+  @most_recordings 3
+
+  @doc "Makes a set the baseline of its experiment, and writes it to a file."
   @spec promote_set(map(), keyword()) :: 0
   def promote_set(%{dataset: path}, opts) do
     {folder, run} = Loading.fetch_run!(path, opts[:run])
     number = opts[:set] || best_set(folder, run)
-    baseline = Error.unwrap!(Baseline.from_run(folder, run, number))
+    baseline = Error.unwrap!(Baseline.promote_set(folder, run, number))
     Error.unwrap!(ResultsFile.write_json(opts[:output], baseline))
 
     if opts[:json],
@@ -25,11 +38,44 @@ defmodule Situ.CLI.Experiment.Checking do
 
   @doc "Runs the set of a baseline again and compares; returns 1 if a metric is worse."
   @spec check_baseline(map(), keyword()) :: 0..255
-  def check_baseline(%{file: file, dataset: path}, opts) do
-    baseline = Error.unwrap!(Baseline.read_file(opts[:baseline]))
+  def check_baseline(%{file: file, dataset: path} = arguments, opts) do
     experiment = Loading.load_experiment!(file)
+    found = find_baseline(opts[:baseline], experiment, path)
+
+    if opts[:bisect],
+      do: bisect_commits(arguments, found, opts),
+      else: run_check(experiment, Error.unwrap!(Baseline.read_file(found)), path, opts)
+  end
+
+  # Without an option, the baseline is in the current folder, or it was promoted in the studio.
+  defp find_baseline(nil, experiment, path) do
+    name = experiment.module |> Module.split() |> List.last()
+    experiments = Error.unwrap!(RunRecord.experiments_folder(path))
+    promoted = Baseline.promoted_path(Path.join(experiments, name))
+
+    if not File.exists?(@default_file) and File.exists?(promoted),
+      do: promoted,
+      else: @default_file
+  end
+
+  defp find_baseline(file, _experiment, _path), do: file
+
+  defp bisect_commits(%{file: file, dataset: path}, baseline, opts) do
+    _ = Error.unwrap!(Baseline.read_file(baseline))
+
+    check = %{
+      file: if(File.exists?(file), do: Path.expand(file), else: file),
+      dataset: Path.expand(path),
+      baseline: Path.expand(baseline),
+      jobs: max(opts[:jobs], 1)
+    }
+
+    Bisecting.find_commit(check, opts[:bisect], opts)
+  end
+
+  defp run_check(experiment, baseline, path, opts) do
     dataset = Loading.open_dataset!(path)
-    for name <- baseline["sessions"], do: Error.unwrap!(Situ.Dataset.session(dataset, name))
+    for name <- baseline["sessions"], do: Error.unwrap!(Dataset.session(dataset, name))
 
     settings = [
       jobs: max(opts[:jobs], 1),
@@ -38,28 +84,64 @@ defmodule Situ.CLI.Experiment.Checking do
     ]
 
     case Running.run_interruptibly(experiment, dataset, settings, opts) do
-      {:ok, {folder, run}} -> report_check(baseline, folder, run, opts)
+      {:ok, result} -> report_check(baseline, dataset, result, opts)
       :interrupted -> 130
       {:error, error} -> raise error
     end
   end
 
-  defp report_check(baseline, folder, run, opts) do
+  defp report_check(baseline, dataset, {folder, run}, opts) do
     [%{"number" => number}] = run["sets"]
     findings = Error.unwrap!(Baseline.check_run(baseline, folder, run, number))
     failed = for row <- Summary.list_rows(folder, run), failure <- row.failures, do: failure
     worse? = failed != [] or Enum.any?(findings, &(&1.status == :worse))
+    recorded = record_differences(findings, baseline, dataset, {folder, run, number})
 
     if opts[:json],
       do:
         Output.print_json(%{
           ok: not worse?,
           metrics: Enum.map(findings, &finding_json/1),
+          differences: Map.new(recorded),
           failed: Map.new(failed)
         }),
-      else: print_findings(findings, failed)
+      else: print_check(findings, failed, recorded)
 
     if worse?, do: 1, else: 0
+  end
+
+  # The outputs of the baseline may be on another machine; the output is then compared with the truth alone. A
+  # difference that cannot be recorded does not change the result of the check.
+  defp record_differences(findings, baseline, dataset, {folder, _, _} = set) do
+    sessions = for f <- findings, {session, _, _, _} <- f.sessions, uniq: true, do: session
+    before = baseline_set(baseline, folder)
+
+    for name <- Enum.take(sessions, @most_recordings),
+        {:ok, session} <- [Dataset.session(dataset, name)],
+        {:ok, %{path: path}} <- [record_difference(session, set, before)],
+        do: {name, path}
+  end
+
+  defp record_difference(session, set, before) do
+    with {:error, %Error{code: :no_output}} <-
+           DifferenceFiles.ensure_recording(session, set, before),
+         do: DifferenceFiles.ensure_recording(session, set, nil)
+  end
+
+  defp baseline_set(%{"run" => name, "set" => number}, folder) do
+    runs = RunRecord.list_runs(Path.dirname(folder))
+
+    with {_, run} <- Enum.find(runs, fn {at, run} -> at == folder and run["run"] == name end),
+         do: {folder, run, number}
+  end
+
+  defp baseline_set(_baseline, _folder), do: nil
+
+  defp print_check(findings, failed, recorded) do
+    print_findings(findings, failed)
+
+    for {session, path} <- recorded,
+        do: Output.puts("The difference in #{session} is recorded: situ studio #{path}")
   end
 
   defp print_findings(findings, failed) do

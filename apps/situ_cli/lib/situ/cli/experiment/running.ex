@@ -2,7 +2,7 @@ defmodule Situ.CLI.Experiment.Running do
   @moduledoc false
   # `situ experiment run`: runs an experiment with a status line, and ends it properly at Ctrl-C.
   alias Situ.CLI.Experiment.{Loading, Viewing}
-  alias Situ.CLI.{Interrupt, Output, Terminal}
+  alias Situ.CLI.{Interrupt, Output, Studio, Terminal}
   alias Situ.Experiment.{RunRecord, Runner}
   alias Situ.{Dataset, Error, Time}
 
@@ -16,6 +16,7 @@ defmodule Situ.CLI.Experiment.Running do
   def run_experiment(%{file: file, dataset: path}, opts) do
     experiment = Loading.load_experiment!(file)
     dataset = Loading.open_dataset!(path)
+    studio = if opts[:studio], do: Studio.show_experiments(path, opts)
 
     settings = [
       jobs: max(opts[:jobs], 1),
@@ -28,6 +29,7 @@ defmodule Situ.CLI.Experiment.Running do
     case run_interruptibly(experiment, dataset, settings, opts) do
       {:ok, {folder, run}} ->
         Viewing.print_run(folder, run, opts)
+        end_run(studio, path, opts)
         if run["failed"] > 0, do: 1, else: 0
 
       :interrupted ->
@@ -36,6 +38,16 @@ defmodule Situ.CLI.Experiment.Running do
       {:error, error} ->
         raise error
     end
+  end
+
+  defp end_run(nil, path, opts) do
+    unless opts[:json] || opts[:markdown],
+      do: Output.puts("Look at the sets, and at where they differ: situ studio #{path}")
+  end
+
+  defp end_run(studio, _path, _opts) do
+    Output.warn("The studio shows the experiment until Ctrl-C.")
+    Studio.wait_for_exit(studio)
   end
 
   @doc "Runs an experiment until it ends or is interrupted; `settings` are options of the runner."

@@ -69,7 +69,7 @@ defmodule Situ.CLI.Experiment.Viewing do
 
     cond do
       opts[:json] -> Output.print_json(run_json(rows, run))
-      opts[:markdown] -> print_markdown(rows, run)
+      opts[:markdown] -> Output.puts(String.trim_trailing(ReportTable.render_report(rows, run)))
       true -> print_text(rows, run, opts)
     end
   end
@@ -112,16 +112,6 @@ defmodule Situ.CLI.Experiment.Viewing do
       end
 
     run |> Map.drop(["trials", "inputs"]) |> Map.put("sets", sets)
-  end
-
-  defp print_markdown(rows, run) do
-    Output.puts("# #{run["experiment"]}\n")
-    for line <- ReportTable.describe_run(rows, run), do: Output.puts(line <> "\n")
-    Output.puts(rows |> ReportTable.table_rows(run) |> ReportTable.render_markdown())
-
-    Output.puts(
-      "\nValues in brackets are 95 % intervals: a bootstrap over sessions, seed #{run["seed"]}."
-    )
   end
 
   defp print_text(rows, run, opts) do

@@ -82,7 +82,12 @@ defmodule Situ.Examples.Demo.ExperimentCommand do
     status =
       Situ.CLI.run(["experiment", "compare", dataset.file, "#{default.number}", "#{best.number}"])
 
-    IO.puts("\nNext: bin/situ experiment show #{dataset.file} --html report.html")
+    IO.puts("""
+
+    Look at the sets, and at the sessions where they differ (button "Experiments"):
+      bin/situ studio #{dataset.file}
+    """)
+
     status
   end
 end

@@ -4,11 +4,11 @@ defmodule Situ.Studio.Web.DatasetView do
   use Situ.Live.View
 
   alias Situ.Dataset.Server
-  alias Situ.Studio.{BatchRuns, Catalog, Datasets, Export, StreamTotals}
+  alias Situ.Studio.{BatchRuns, Catalog, Datasets, Experiments, Export, StreamTotals}
   alias Situ.Studio.BatchRuns.ResumableRuns
   alias Situ.Studio.Datasets.Summary
   alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Components}
-  alias Situ.Studio.Web.{HistoryDialog, PageFrame}
+  alias Situ.Studio.Web.{HistoryDialog, PageFrame, Paths}
 
   @refresh_ms 2_000
 
@@ -36,6 +36,7 @@ defmodule Situ.Studio.Web.DatasetView do
         runs: [],
         left: [],
         now: now_ms(),
+        experiments?: false,
         error: nil
       )
 
@@ -47,7 +48,12 @@ defmodule Situ.Studio.Web.DatasetView do
       socket =
         assign(socket, file: file, server: server, dataset: Server.get_dataset(server), runs: runs)
 
-      socket = assign(socket, left: ResumableRuns.list_interrupted(file))
+      socket =
+        assign(socket,
+          left: ResumableRuns.list_interrupted(file),
+          experiments?: Experiments.any?(file)
+        )
+
       {:ok, if(connected?(socket), do: refresh_facts(socket), else: socket)}
     else
       {:error, error} ->
@@ -196,6 +202,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
     # The file may have been edited by hand or on the command line. The page is then notified as of any change.
     _ = Datasets.reload_dataset(server)
+    socket = assign(socket, experiments?: Experiments.any?(socket.assigns.file))
     {:noreply, refresh_facts(socket)}
   end
 
@@ -210,7 +217,8 @@ defmodule Situ.Studio.Web.DatasetView do
   def render(assigns) do
     ~H"""
     <div id="dataset" class="dataset" phx-hook="Lists" data-id={@id}>
-      <Components.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
+      <Components.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil}
+          experiments={@experiments? && Paths.experiments_path(@id)} />
       <Components.session_tree
           {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
       <Components.dataset_sidebar

@@ -10,6 +10,17 @@ defmodule Situ.Studio.Web.Paths do
   @spec dataset_path(String.t()) :: String.t()
   def dataset_path(id), do: "d/" <> encode_id(id)
 
+  @doc "Returns the path of the page of the experiments over a dataset."
+  @spec experiments_path(String.t()) :: String.t()
+  def experiments_path(id), do: "x/" <> encode_id(id)
+
+  @doc "Returns the path of the report on a run, as a page or in Markdown."
+  @spec report_path(String.t(), String.t(), :html | :markdown) :: String.t()
+  def report_path(id, run, format) do
+    "experiments/report?" <>
+      URI.encode_query(%{"dataset" => id, "run" => run, "format" => format})
+  end
+
   @doc "Returns the path of an item's page, whatever the item's kind."
   @spec item_path(%{:id => String.t(), :kind => atom(), optional(atom()) => term()}) :: String.t()
   def item_path(%{id: id, kind: :dataset}), do: dataset_path(id)

@@ -16,6 +16,7 @@ defmodule Situ.Studio.Web.Dataset.Components do
   attr(:file, :string, required: true)
   attr(:read_only, :boolean, required: true)
   attr(:kept, :boolean, required: true)
+  attr(:experiments, :any, required: true)
 
   @doc false
   def top_bar(assigns) do
@@ -25,6 +26,8 @@ defmodule Situ.Studio.Web.Dataset.Components do
       <h1 class="where" title={@file}>{@title}</h1>
       <span class="grow"></span>
       <span :if={@read_only} class="hint">read-only</span>
+      <a :if={@experiments} id="experiments-link" class="btn" href={@experiments}
+          title="Show the experiments over this dataset">Experiments</a>
       <button :if={not @kept and not @read_only} class="btn" type="button" phx-click="ask" phx-value-what="copy"
           phx-value-path="[]"
           title="This file format is read-only; save a copy to keep your changes">Save a copy…</button>
