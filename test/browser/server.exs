@@ -11,6 +11,7 @@ Code.require_file("map_fixture.exs", __DIR__)
 Code.require_file("mask_fixture.exs", __DIR__)
 Code.require_file("session_fixture.exs", __DIR__)
 Code.require_file("experiment_fixture.exs", __DIR__)
+Code.require_file("video_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Recordings}
 
 [work | _] = System.argv()
@@ -258,6 +259,15 @@ tuned_folder = Path.join(work, "tuned")
 ExperimentFixture.create(tuned_folder)
 {:ok, tuned} = Situ.Studio.start_link(id: "tuned", port: 0, path: tuned_folder, layouts: layouts)
 
+# Films with numbered images.
+{:ok, filmed} =
+  Situ.Studio.start_link(
+    id: "filmed",
+    port: 0,
+    path: VideoFixture.create(Path.join(work, "films")),
+    layouts: layouts
+  )
+
 # A studio that some users may change and others may only view.
 {:ok, shared} =
   Situ.Studio.start_link(
@@ -337,6 +347,7 @@ IO.puts(
       "linked" => "situ://127.0.0.1:#{Situ.Link.Server.port(linked)}",
       "studied" => base.(studied),
       "tuned" => base.(tuned),
+      "video" => base.(filmed),
       "studied_folder" => studied_folder,
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),

@@ -4,6 +4,7 @@ import "./start_tests.mjs";
 import "./page_tests.mjs";
 import "./timeline_tests.mjs";
 import "./picture_tests.mjs";
+import "./video_tests.mjs";
 import "./truth_tests.mjs";
 import "./random_tests.mjs";
 import "./cursor_tests.mjs";

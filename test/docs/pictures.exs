@@ -19,7 +19,15 @@ Code.compile_string(hd(blocks.("live-views.md", "defmodule Guide.Counter")))
 hall |> String.split("rules =") |> hd() |> Code.compile_string()
 Code.require_file("scenes.exs", __DIR__)
 
-for app <- [:situ_studio, :situ_examples, :situ_cluster, :situ_link, :situ_bridge, :situ_infer, :situ_assistant],
+for app <- [
+      :situ_studio,
+      :situ_examples,
+      :situ_cluster,
+      :situ_link,
+      :situ_bridge,
+      :situ_infer,
+      :situ_assistant
+    ],
     do: {:ok, _} = Application.ensure_all_started(app)
 
 [folder] = System.argv()

@@ -116,6 +116,19 @@ defmodule Situ.Recording do
   streams on demand keeps capturing them.
   """
   @callback request_streams(state(), names :: [String.t()]) :: term()
+  @doc """
+  Describes the compressed images of a stream (`Situ.Recording.CodedVideo`). Returns `:none` if it does not have any,
+  and an error if they cannot be decoded from their packets.
+  """
+  @callback coded_video(state(), StreamInfo.t()) ::
+              {:ok, Situ.Recording.CodedVideo.t()} | :none | error()
+  @doc "Returns the bytes of packets of compressed images."
+  @callback coded_packets(
+              state(),
+              StreamInfo.t(),
+              first :: non_neg_integer(),
+              count :: non_neg_integer()
+            ) :: {:ok, [binary()]} | error()
   @doc "Sends one `{:situ_store, tag, {:published | :ended, n}}` when there are more than `known` entries."
   @callback notify(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
 
@@ -129,6 +142,8 @@ defmodule Situ.Recording do
                       append_streams: 4,
                       missing_files: 1,
                       request_streams: 2,
+                      coded_video: 2,
+                      coded_packets: 4,
                       notify: 4
 
   @doc """

@@ -48,6 +48,7 @@ function ensureStudio() {
     query: buildQuery,
     dataUrl: () => `${ws}//${location.host}${base}/data/socket?${buildQuery()}`,
     pcmUrl: () => `${base}/data/pcm?${buildQuery()}`,
+    videoUrl: (what) => `${base}/data/${what}?${buildQuery()}`,
     stepUrl: () => `${base}/data/step?${buildQuery()}`,
     source: d.source,
     base,

@@ -11,7 +11,7 @@ defmodule Situ.Media.Recording do
   import Bitwise
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
-  alias Situ.Media.Recording.{Index, OpenFile, Images, Audio, Waveform}
+  alias Situ.Media.Recording.{Index, OpenFile, CodedImages, Images, Audio, Waveform}
   alias Situ.Store.StreamInfo
 
   @impl true
@@ -220,6 +220,14 @@ defmodule Situ.Media.Recording do
       end
     end
   end
+
+  @impl true
+  def coded_video(recording, %{name: "Video"}), do: CodedImages.describe(recording)
+  def coded_video(_recording, _info), do: :none
+
+  @impl true
+  def coded_packets(recording, _info, first, count),
+    do: CodedImages.read_packets(recording, first, count)
 
   # Returns the exponent of the largest power of two that is not wider than a pixel.
   defp bin_level(from, to, pixels) do

@@ -292,9 +292,9 @@ defmodule Situ.Media.RecordingTest do
     alias Situ.Media.Recording.Packets
 
     list =
-      "packet,0,512,0,512,100,K_\npacket,1,-1024,-1024,1024,7,KD,side_data,\n\npacket,0,N/A,512,512,9,__\n" <>
-        "packet,1,0,0,1024,8,K_\npacket,9,x\nstream,0,1/12800\nstream,1,0/0\nformat,0.040000\npacket,0," <>
-        "99999999999999999999999999,0,1,1,__\n"
+      "packet,0,512,0,512,100,48,K_,adler32:0000000f\npacket,1,-1024,-1024,1024,7,148,KD,side_data,\n\n" <>
+        "packet,0,N/A,512,512,9,N/A,__\npacket,1,0,0,1024,8,155,K_\npacket,9,x\nstream,0,1/12800\n" <>
+        "stream,1,0/0\nformat,0.040000\npacket,0,99999999999999999999999999,0,1,1,9,__,adler32:1\n"
 
     whole = Packets.feed(Packets.new(0, 1), list)
     assert whole.pictures == [{0, false}, {512, false}, {512, true}]

@@ -210,7 +210,8 @@ export class SvgContext {
   // Embeds an image as PNG.
   drawImage(image, x, y, w = image.width, h = image.height) {
     const canvas = document.createElement("canvas");
-    [canvas.width, canvas.height] = [image.width, image.height];
+    // a decoded image of a video has other names for its size
+    [canvas.width, canvas.height] = [image.displayWidth ?? image.width, image.displayHeight ?? image.height];
     getContext2d(canvas).drawImage(image, 0, 0);
     const [left, top] = this.transformPoint(x, y).split(" ");
     const [k, , , l] = this.matrix;

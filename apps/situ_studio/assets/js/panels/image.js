@@ -4,6 +4,8 @@ import { showTip } from "../page/tip.js";
 import { getVisualizer } from "../visualizers/index.js";
 import { pluginVisualizer } from "../plugins/plugin_drawer.js";
 import { imageMapping } from "../visualizers/shapes.js";
+import { VideoLayer } from "../visualizers/video_layer.js";
+import { KIND } from "../data/frames.js";
 import { PanZoom } from "./pan_zoom.js";
 
 export class ImagePanel {
@@ -47,14 +49,37 @@ export class ImagePanel {
   openLayer(key, vis) {
     const drawer = vis.script ? pluginVisualizer : getVisualizer(vis.draw, "image");
     const layer = { key, vis, drawer };
-    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
-    const acceptFrame = (frame) => layer.drawer.acceptFrame(layer, frame, () => this.app.scheduleDraw(this));
-    layer.channel = this.app.client.openChannel(spec, acceptFrame, { instant: true });
+    this.openChannel(layer);
+    if (drawer.id === "image" && !vis.path) layer.video = this.openVideo(layer);
     return layer;
+  }
+
+  openChannel(layer) {
+    const { vis } = layer;
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
+    const acceptFrame = (frame) => {
+      layer.drawer.acceptFrame(layer, frame, () => this.app.scheduleDraw(this));
+      if (frame.kind === KIND.image) layer.video?.begin();
+    };
+    layer.channel = this.app.client.openChannel(spec, acceptFrame, { instant: true });
+  }
+
+  // The page decodes a compressed stream by itself, and then needs no images from the server.
+  openVideo(layer) {
+    return new VideoLayer(this.app, layer, {
+      changed: () => this.app.scheduleDraw(this),
+      opened: () => {
+        this.app.client.closeChannel(layer.channel);
+        layer.channel = null;
+        layer.generation = (layer.generation ?? 0) + 1;
+      },
+      failed: () => this.openChannel(layer),
+    });
   }
 
   closeLayer(l) {
     this.app.client.closeChannel(l.channel);
+    l.video?.close();
     l.drawer.close(l);
   }
 
@@ -93,6 +118,7 @@ export class ImagePanel {
 
   // Draws on the screen, or on another context such as `page/svg_context.js`.
   render(ctx = this.canvas.getContext("2d")) {
+    for (const l of this.layers) l.video?.apply();
     const f = this.fit(),
       map = this.map();
     const w = this.el.clientWidth,
@@ -142,6 +168,7 @@ export class ImagePanel {
   }
 
   cursorMoved() {
+    for (const l of this.layers) l.video?.update();
     this.updateTip();
   }
 

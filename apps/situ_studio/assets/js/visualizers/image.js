@@ -25,7 +25,7 @@ export const image = {
   restyle() {},
 
   close(layer) {
-    layer.picture?.image.close();
+    if (!layer.picture?.borrowed) layer.picture?.image.close();
     layer.picture = null;
   },
 
@@ -43,10 +43,11 @@ export const image = {
   describeAt: () => [],
 
   // Yields the size, age and value under the mouse, for the corner of the panel.
-  *imageFacts({ picture, at, vis }, cursor, point) {
+  *imageFacts({ picture, at, vis, video }, cursor, point) {
     const { width, height, values } = picture;
     yield `${width} × ${height}`;
-    if (cursor - at >= OLD) yield `${formatDuration(cursor - at)} old`;
+    if (video) yield* video.facts(cursor);
+    if (!video?.source?.pending && cursor - at >= OLD) yield `${formatDuration(cursor - at)} old`;
     const [x, y] = (point ?? []).map(Math.floor);
     if (!values || !(x >= 0 && y >= 0 && x < width && y < height)) return;
     yield `(${x}, ${y}) = ${this.readingText(values[y * width + x], picture, vis)}`;

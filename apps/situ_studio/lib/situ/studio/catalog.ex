@@ -156,9 +156,8 @@ defmodule Situ.Studio.Catalog do
   end
 
   def handle_call({:connect, items}, _from, state) do
-    connected = Map.new(items, fn {item, opts} -> {item.id, {item, opts}} end)
-    ids = connected |> Map.keys() |> Enum.sort()
-    {:reply, {:ok, ids}, %{state | connected: Map.merge(state.connected, connected)}}
+    ids = items |> Map.keys() |> Enum.sort()
+    {:reply, {:ok, ids}, %{state | connected: Map.merge(state.connected, items)}}
   end
 
   def handle_call({:find, id}, _from, state), do: {:reply, resolve_item(state, id), state}
@@ -221,7 +220,7 @@ defmodule Situ.Studio.Catalog do
   # An address contains an item's id, never a path, so only recordings in the folder can be opened.
   defp resolve_item(state, id) do
     case Enum.find(source_items(state), &(&1.id == id)) || find_store_item(state, id) ||
-           find_dataset_item(state, id) || find_connected_item(state, id) ||
+           find_dataset_item(state, id) || RemoteItems.get_item(state.connected, id) ||
            find_node_item(state, id) do
       nil ->
         {:error, not_found(id)}
@@ -253,10 +252,6 @@ defmodule Situ.Studio.Catalog do
 
   defp store_kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
-
-  defp find_connected_item(state, id) do
-    with %{^id => {item, _opts}} <- state.connected, do: item, else: (_ -> nil)
-  end
 
   # The id of a recording on another cluster node is `NODE/NAME`; the node is asked when it is opened.
   defp find_node_item(%{nodes: nil}, _id), do: nil
@@ -334,11 +329,9 @@ defmodule Situ.Studio.Catalog do
 
     for({id, path} <- datasets, do: dataset_item(id, path)) ++
       source_items(state) ++
-      for({id, path} <- recordings, do: store_item(id, path)) ++ connected_items(state)
+      for({id, path} <- recordings, do: store_item(id, path)) ++
+      RemoteItems.list_items(state.connected)
   end
-
-  defp connected_items(state),
-    do: for({_id, {item, _opts}} <- state.connected, do: item) |> Enum.sort_by(& &1.id)
 
   # Returns all items except the recordings of the folder.
   defp source_items(state) do
@@ -391,7 +384,8 @@ defmodule Situ.Studio.Catalog do
   end
 
   defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
-    with {:ok, source} <- Recordings.Store.open(item.path, reader_options(state, item)) do
+    with {:ok, source} <-
+           Recordings.Store.open(item.path, RemoteItems.reader_options(state.connected, item.id)) do
       source = Recordings.Layers.add_layers(source, state.id, item.layers)
       {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
@@ -401,14 +395,6 @@ defmodule Situ.Studio.Catalog do
     with {:ok, source} <-
            Recordings.Pipeline.open(state.pipelines, item.id, watch_supervisor(state.id)) do
       {:ok, source, put_in(state.open[cache_key(item)], source)}
-    end
-  end
-
-  # The token of a server is known only here, so it is in no address.
-  defp reader_options(state, item) do
-    case Map.fetch(state.connected, item.id) do
-      {:ok, {_item, opts}} -> opts
-      :error -> []
     end
   end
 end

@@ -4,6 +4,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Frame
   doctest Situ.Studio.ValuePath
   doctest Situ.Studio.Int64
+  doctest Situ.Studio.CodedStreams
   doctest Situ.Studio.Comparison
   doctest Situ.Studio.Experiments.Axis
   doctest Situ.Studio.Experiments.SetList

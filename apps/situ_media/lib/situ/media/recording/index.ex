@@ -8,22 +8,30 @@ defmodule Situ.Media.Recording.Index do
   # images per second take 1.4 MB, shared by all processes that hold them.
   alias Situ.Error
   alias Situ.Media.{FFmpeg, FileInfo, Nut}
-  alias Situ.Media.Recording.Packets
+  alias Situ.Media.Recording.{Packets, PacketPlaces}
 
-  defstruct pictures: <<>>, keys: <<>>, picture_bytes: 0, sound_end: nil, sound_bytes: 0
+  # `places` holds the packets as FFmpeg decodes them (`Situ.Media.Recording.PacketPlaces`), `nil` if only FFmpeg can
+  # read them.
+  defstruct pictures: <<>>,
+            keys: <<>>,
+            picture_bytes: 0,
+            sound_end: nil,
+            sound_bytes: 0,
+            places: nil
 
   @type t :: %__MODULE__{
           pictures: binary(),
           keys: binary(),
           picture_bytes: non_neg_integer(),
           sound_end: Situ.Time.t() | nil,
-          sound_bytes: non_neg_integer()
+          sound_bytes: non_neg_integer(),
+          places: binary() | nil
         }
 
   @seconds 120
   # Ten years, which is longer than any real media file.
   @longest 315_360_000_000_000_000
-  @packets "format=start_time:stream=index,time_base:packet=stream_index,pts,dts,duration,size,flags"
+  @packets "format=start_time:stream=index,time_base:packet=stream_index,pts,dts,duration,size,pos,flags,data_hash"
   @frames "frame=best_effort_timestamp,key_frame"
 
   @doc "Builds the index from the packets of the file. Gives up after two minutes."
@@ -31,7 +39,8 @@ defmodule Situ.Media.Recording.Index do
   def read_packets(path, %FileInfo{} = info) do
     new = Packets.new(info.video && info.video.index, info.audio && info.audio.index)
 
-    with {:ok, packets} <- run_ffprobe(path, info, ["-show_entries", @packets], new) do
+    with {:ok, packets} <-
+           run_ffprobe(path, info, ~w(-show_data_hash adler32 -show_entries #{@packets}), new) do
       {:ok,
        build_index(info, if(packets.vague?, do: read_frames(path, info, packets), else: packets))}
     end
@@ -79,8 +88,22 @@ defmodule Situ.Media.Recording.Index do
       keys: keys,
       picture_bytes: packets.picture_bytes,
       sound_end: sound_end(info, packets.sound_end, audio, zero),
-      sound_bytes: packets.sound_bytes
+      sound_bytes: packets.sound_bytes,
+      places: pack_places(packets, video, zero, length(pictures))
     }
+  end
+
+  # If two images have the same time, their packets cannot be told apart.
+  defp pack_places(%{placed?: true, places: [_ | _] = places}, base, zero, count) do
+    packed = PacketPlaces.pack(places, &image_time_or_nil(&1, base, zero))
+    if PacketPlaces.shown_count(packed) == count, do: packed
+  end
+
+  defp pack_places(_packets, _base, _zero, _count), do: nil
+
+  defp image_time_or_nil(ticks, base, zero) do
+    time = ticks_to_ns(ticks, base, zero)
+    if time >= 0 and time < @longest, do: time
   end
 
   # MP4 and related formats state the exact audio length; in other formats the packets are used.

@@ -1,13 +1,14 @@
 defmodule Situ.Media.Recording.Packets do
   @moduledoc false
   # Parses the packet list of ffprobe (`-of csv`) as it arrives and stores it compactly: a tick and a flag for every
-  # image, and the end of the audio. A malicious file can make the list long, but cannot exhaust memory.
+  # image, the place of every video packet in the file, and the end of the audio. A malicious file can make the list
+  # long, but cannot exhaust memory.
 
   @most 5_000_000
 
   defstruct [:video, :audio] ++
               [rest: "", pictures: [], count: 0, vague?: false, frames: [], zero: 0, bases: %{}] ++
-              [picture_bytes: 0, sound_bytes: 0, sound_end: nil]
+              [picture_bytes: 0, sound_bytes: 0, sound_end: nil, places: [], placed?: true]
 
   @type t :: %__MODULE__{}
 
@@ -28,9 +29,14 @@ defmodule Situ.Media.Recording.Packets do
 
   defp add_line(line, packets), do: line |> String.split(",") |> add_row(packets)
 
-  defp add_row(["packet", id, pts, dts, _duration, size, flags | _], %{video: id} = packets) do
+  defp add_row(
+         ["packet", id, pts, dts, _duration, size, pos, flags | more],
+         %{video: id} = packets
+       ) do
     packets = %{packets | picture_bytes: packets.picture_bytes + (parse_number(size) || 0)}
     ticks = parse_number(pts)
+    place = {ticks, flags, parse_number(pos), parse_number(size), parse_checksum(more)}
+    packets = add_place(packets, place)
 
     cond do
       # Skips packets that are decoded but never shown.
@@ -40,7 +46,7 @@ defmodule Situ.Media.Recording.Packets do
     end
   end
 
-  defp add_row(["packet", id, pts, dts, duration, size, flags | _], %{audio: id} = packets) do
+  defp add_row(["packet", id, pts, dts, duration, size, _pos, flags | _], %{audio: id} = packets) do
     ticks = parse_number(pts) || parse_number(dts)
     packets = %{packets | sound_bytes: packets.sound_bytes + (parse_number(size) || 0)}
 
@@ -85,6 +91,28 @@ defmodule Situ.Media.Recording.Packets do
     entry = {ticks, String.starts_with?(flags, "K")}
     %{packets | pictures: [entry | packets.pictures], count: packets.count + 1}
   end
+
+  # A packet without a place (in MPEG-TS, or where the parameters of the codec change) can be read only by FFmpeg.
+  defp add_place(%{placed?: false} = packets, _place), do: packets
+
+  defp add_place(packets, {ticks, flags, pos, size, checksum})
+       when is_integer(ticks) and is_integer(checksum) and is_integer(pos) and pos >= 0 and
+              size in 1..0xFFFFFFFF do
+    key? = String.starts_with?(flags, "K")
+    hidden? = String.contains?(flags, "D")
+    %{packets | places: [{ticks, key?, hidden?, pos, size, checksum} | packets.places]}
+  end
+
+  defp add_place(packets, _place), do: %{packets | placed?: false, places: []}
+
+  defp parse_checksum(["adler32:" <> hex | _]) do
+    case Integer.parse(hex, 16) do
+      {sum, ""} when sum in 0..0xFFFFFFFF -> sum
+      _ -> nil
+    end
+  end
+
+  defp parse_checksum(_), do: nil
 
   defp max_ticks(ticks, nil), do: ticks
   defp max_ticks(ticks, last), do: max(ticks, last)

@@ -17,7 +17,8 @@ defmodule Situ.Studio.Web.Routes do
     SensorHandler,
     SensorPage,
     SettingsView,
-    UploadHandler
+    UploadHandler,
+    VideoHttp
   }
 
   @spec build_routes(String.t(), String.t()) :: [tuple()]
@@ -46,6 +47,8 @@ defmodule Situ.Studio.Web.Routes do
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},
+      {:get, "/data/video", {VideoHttp, {studio, :index}}},
+      {:get, "/data/packets", {VideoHttp, {studio, :packets}}},
       {:get, "/data/step", {DataHttp, {studio, :step}}},
       {:get, "/data/csv", {DataHttp, {studio, :csv}}},
       {:get, "/data/parquet", {DataHttp, {studio, :parquet}}},
