@@ -328,3 +328,34 @@ test("6 batch: a run shows its progress, continues without the page, and is canc
   await until(page, () => document.querySelector(".run.cancelled"), "it is cancelled");
   ok(!session("p02").partitions.some((p) => p.name === "Held"), "no partial output remains");
 });
+
+test("6 datasets: a search over all sessions lists times, and a click opens the session there", async ({
+  page,
+  shot,
+}) => {
+  await dataset(page);
+  await page.click(".topbar button:text('Find times')");
+  await page.fill("#session-search textarea", "`Vad.Speaking` >");
+  await page.click("#session-search .primary");
+  await until(page, () => document.querySelector("#session-search .error"), "an error is explained");
+  await page.fill("#session-search textarea", "`Vad.Speaking`");
+  await page.fill("#session-search input[name=least]", "200ms");
+  await page.click("#session-search .primary");
+  await until(page, () => document.querySelectorAll("#session-search a.hit").length > 1, "times are listed");
+  await until(page, () => !document.querySelector("#session-search [phx-click=find_stop]"), "the search has ended");
+  await shot("session-search");
+  const hit = await page.$("#session-search a.hit");
+  const [from, to] = new URL(await hit.evaluate((a) => a.href)).searchParams.get("sel").split("~").map(BigInt);
+  ok(to - from >= 200_000_000n, "short times are left out");
+  await hit.click();
+  await until(page, () => window.situStudio?.time.get().sel[0] != null, "the session is opened at the time");
+  const shown = await page.evaluate(() => {
+    const { client, time } = window.situStudio;
+    return time.get().sel.map((t) => client.toAbsolute(t));
+  });
+  equal(
+    shown.map((t) => Number(BigInt(t) - from) / 1e6).map(Math.round),
+    [0, Math.round(Number(to - from) / 1e6)],
+    "selected",
+  );
+});

@@ -196,3 +196,64 @@ test("10 sessions: a double click in the dataset opens a session with the last v
   await until(page, () => document.getElementById("toast").textContent === "This is the last session", "the end");
   ok(!(await page.$("#annotation")), "nothing is annotated without a layer");
 });
+
+// A newcomer's walk: the clicks, keys and waiting time to segment and transcribe three sessions. Typed texts and the
+// time of playback depend on the person, so only what the studio asks for is limited.
+test("12 sessions: three sessions get two tiers each with few clicks and keys", async ({ page }) => {
+  const used = { clicks: 0, keys: 0 };
+  const click = async (selector, options) => {
+    used.clicks += options?.clickCount ?? 1;
+    await page.click(selector, options);
+  };
+  const press = async (key) => {
+    used.keys += 1;
+    await page.keyboard.press(key);
+  };
+  const begun = Date.now();
+  await page.goto(`${site.studied}/d/study.json`);
+  await click('#tree .node:has(.name:text-is("s1")) .name', { clickCount: 2 });
+  await isSession(page, "s1");
+  await press("a");
+  await click("#annotation-new input[name=name]");
+  await page.keyboard.type("Interview");
+  await page.selectOption("#annotation-new select[name=kind]", "tiers");
+  used.clicks += 2;
+  await click("#annotation-new textarea");
+  await page.keyboard.type("Speech: speaks, laughs\nWords of Speech");
+  await click("#annotation-new .primary");
+  for (const name of ["s1", "s2", "s3"]) {
+    await until(page, () => window.situStudio.annotation?.state.tiers.length === 2, `the tiers of ${name}`);
+    await page.focus("#annotation-body");
+    await press("g");
+    await press("g");
+    await press("Space");
+    await until(page, () => window.situStudio.time.get().mode === "play", "plays");
+    for (let i = 0; i < 3; i++) {
+      const { cursor } = await state(page);
+      await press("Enter");
+      await until(page, (c) => window.situStudio.time.get().cursor > c + 1e8, "time passes", cursor);
+    }
+    await press("Space");
+    await itemCount(page, 2);
+    await press("Escape");
+    await press("Escape");
+    await press("T");
+    await until(page, () => document.querySelectorAll(".transcription input").length === 2, "two rows");
+    for (const text of ["yes", "no"]) {
+      await page.keyboard.type(text);
+      await press("Enter");
+    }
+    await itemCount(page, 4);
+    await press("Escape");
+    if (name === "s3") break;
+    await press("Alt+PageDown");
+    await isSession(page, name === "s1" ? "s2" : "s3");
+    await until(page, () => document.querySelector("#annotation-dialog"), "the layer is offered");
+    await click("#annotation-dialog .primary");
+  }
+  await click(".annotation-tools button:text('Save')");
+  await readSaved((all) => all.filter((l) => l.layer === "Interview" && l.items.length === 4).length === 3);
+  console.log(`walk: ${used.clicks} clicks, ${used.keys} keys, ${((Date.now() - begun) / 1000).toFixed(1)} s`);
+  ok(used.clicks <= 10, `few clicks: ${used.clicks}`);
+  ok(used.keys <= 45, `few keys: ${used.keys}`);
+});

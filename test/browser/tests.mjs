@@ -13,6 +13,7 @@ import "./together_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
+import "./tier_tests.mjs";
 import "./session_tests.mjs";
 import "./dataset_tests.mjs";
 import "./experiment_tests.mjs";

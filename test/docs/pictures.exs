@@ -18,6 +18,7 @@ Code.compile_string(hd(blocks.("live-views.md", "defmodule Guide.Counter")))
 [hall | _] = blocks.("from-one-machine-to-ten.md", "defmodule Guide.Hall")
 hall |> String.split("rules =") |> hd() |> Code.compile_string()
 Code.require_file("scenes.exs", __DIR__)
+Code.require_file("annotation_scene.exs", __DIR__)
 
 for app <- [
       :situ_studio,
@@ -54,6 +55,7 @@ Scenes.chat(folder, chat.url)
 File.cp!(Situ.Examples.Demo.Options.default_clip(), Path.join(folder, "talk1.mp4"))
 bag = Path.expand("../../apps/situ_bridge/test/data/ros1_imu_gps_cam.bag", __DIR__)
 File.cp!(bag, Path.join(folder, "drive.bag"))
+AnnotationScene.create(folder)
 
 pipelines =
   for {name, build} <- Scenes.pipelines() do

@@ -113,6 +113,38 @@ const PICTURES = {
   simulation: (page) => showText(page, failure),
 };
 
+const annotate = async (page, layer) => {
+  await page.goto(`${main}s/study.json/p01?annotate=${layer}`);
+  await page.waitForFunction(() => window.situStudio?.annotation?.state.items.length > 0);
+  await page.waitForTimeout(3000);
+};
+Object.assign(PICTURES, {
+  transcription: async (page) => {
+    await annotate(page, "Talk");
+    await page.evaluate(() => (window.situStudio.annotation.track = "English"));
+    await page.focus("#annotation-body");
+    await page.keyboard.press("T");
+    await page.waitForSelector(".transcription li.now");
+    await page.keyboard.press("Enter");
+    await page.keyboard.type("I think that it works");
+  },
+  agreement: async (page) => {
+    await annotate(page, "Turn.Ada");
+    await page.click(".annotation-tools button:text('All annotators')");
+    await page.waitForFunction(() => window.situStudio.annotation.merged.data.segments.length > 0);
+    await page.focus("#annotation-body");
+    await page.keyboard.press("d");
+  },
+  search: async (page) => {
+    await page.goto(`${main}d/study.json`);
+    await page.click(".topbar button:text('Find times')");
+    await page.fill("#session-search textarea", "'A' in `Turn.Ada` and not 'A' in `Turn.Ben`");
+    await page.fill("#session-search input[name=least]", "50ms");
+    await page.click("#session-search .primary");
+    await page.waitForSelector("#session-search a.hit");
+  },
+});
+
 const browser = await chromium.launch({
   executablePath: "/usr/bin/chromium",
   args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],

@@ -64,3 +64,42 @@ pictures =
 
 {:ok, _} = Situ.Store.Writer.append(video, pictures)
 :ok = Situ.Store.Writer.close(writer)
+
+# Tiers with all relations of ELAN.
+tier = fn name, parent, relation ->
+  attribute = if name == "Kind", do: "Kind", else: "Text"
+  %{"name" => name, "attribute" => attribute, "parent" => parent, "relation" => relation}
+end
+
+{:ok, speech} =
+  Schema.parse(%{
+    "name" => "Tiers",
+    "attributes" => [%{"name" => "Text", "kind" => "text"}, Map.put(kind, "values", kinds)],
+    "tiers" => [
+      tier.("Utterance", nil, nil),
+      tier.("Words", "Utterance", "included_in"),
+      tier.("Turns", "Utterance", "time_subdivision"),
+      tier.("Parts", "Words", "symbolic_subdivision"),
+      tier.("Kind", "Parts", "symbolic_association")
+    ]
+  })
+
+text = fn track, from, to, text ->
+  attribute = if track =~ "Kind", do: "Kind", else: "Text"
+  Annotation.new(origin + from * ms, origin + to * ms, track, %{attribute => text})
+end
+
+{:ok, layer} =
+  Layer.new(speech, [
+    text.("Utterance@Ada", 1_000, 3_000, "come here & see"),
+    text.("Turns@Ada", 1_000, 2_000, "first"),
+    text.("Turns@Ada", 2_000, 3_000, "second"),
+    text.("Words@Ada", 1_100, 1_500, "come"),
+    text.("Words@Ada", 1_600, 2_200, "here"),
+    text.("Parts@Ada", 1_100, 1_300, "co"),
+    text.("Parts@Ada", 1_300, 1_500, "me"),
+    text.("Kind@Ada", 1_300, 1_500, "hand"),
+    text.("Utterance@Ben", 1_000, 1_400, "yes")
+  ])
+
+{:ok, _} = Recording.write(layer, Path.join(root, "tiers"), "Tiers")

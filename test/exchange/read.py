@@ -26,6 +26,30 @@ check_equal("pympi", {(t, a[0], a[1], a[2]) for t in eaf.get_tier_names() for a 
 words = {d[0][0][0] for d in eaf.get_cv_entries("Speech").values()} if "Speech" in eaf.get_controlled_vocabulary_names() else set()
 check_equal("pympi, controlled vocabulary", words, {"speaks", "laughs"})
 
+# Tiers that depend on each other. pympi writes them again, without the header of Situ.
+tiers = pympi.Elan.Eaf(file_path("tiers.eaf"))
+parents = {t: tiers.tiers[t][2].get("PARENT_REF") for t in tiers.get_tier_names()}
+kinds = {t: tiers.linguistic_types[tiers.tiers[t][2]["LINGUISTIC_TYPE_REF"]].get("CONSTRAINTS") for t in parents}
+check_equal("pympi, parents", {(t.split("@")[0], (p or "").split("@")[0], kinds[t]) for t, p in parents.items()}, {
+    ("Utterance", "", None), ("Words", "Utterance", "Included_In"), ("Turns", "Utterance", "Time_Subdivision"),
+    ("Parts", "Words", "Symbolic_Subdivision"), ("Kind", "Parts", "Symbolic_Association")})
+data = {t: [tuple(a[:3]) for a in tiers.get_annotation_data_for_tier(t)] for t in parents if kinds[t] in (
+    None, "Included_In", "Time_Subdivision")}
+# pympi finds the times of references to aligned annotations only, so references are compared as they are.
+refs = {t: list(tiers.tiers[t][1].items()) for t in parents}
+words = {value: n for t in parents for n, (_, _, value, _) in tiers.tiers[t][0].items()}
+(co, (co_parent, _, co_before, _)), (me, (me_parent, _, me_before, _)) = refs["Parts@Ada"]
+check_equal("pympi, references", (co_parent, co_before, me_parent, me_before, refs["Kind@Ada"][0][1][0]),
+            (words["come"], None, words["come"], co, me))
+check_equal("pympi, aligned tiers", (data["Turns@Ada"], data["Words@Ada"]), (
+    [(1000, 2000, "first"), (2000, 3000, "second")], [(1100, 1500, "come"), (1600, 2200, "here")]))
+check_equal("pympi, symbolic tiers", ([a[1][1] for a in refs["Parts@Ada"]], [a[1][1] for a in refs["Kind@Ada"]]),
+            (["co", "me"], ["hand"]))
+check_equal("pympi, participants", {tiers.tiers[t][2].get("PARTICIPANT") for t in parents}, {"Ada", "Ben"})
+# Situ's times are the same if the file names no origin.
+tiers.properties = [p for p in tiers.properties if p[0] != "situ.schema"]
+tiers.to_file(file_path("tiers2.eaf"))
+
 grid = textgrid.TextGrid.fromFile(file_path("anna.TextGrid"))
 check_equal("textgrid", {(t.name, to_ms(i.minTime), to_ms(i.maxTime), i.mark) for t in grid for i in t if i.mark})
 grid = praatio.openTextgrid(file_path("anna.TextGrid"), includeEmptyIntervals=False)

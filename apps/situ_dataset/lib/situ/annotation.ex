@@ -28,12 +28,14 @@ defmodule Situ.Annotation do
   | describe attributes, their values, colours and keys | `Situ.Annotation.Schema` |
   | store, edit and check the annotations of a stream | `Situ.Annotation.Layer` |
   | change several annotations together | `Situ.Annotation.Edit` |
+  | move annotations in time, alone or with all later ones | `Situ.Annotation.Shift` |
   | undo and redo, keep unsaved edits through a crash | `Situ.Annotation.Editor` |
   | read them from and write them to a recording | `Situ.Annotation.Recording` |
   | derive them from a stream of booleans or maps | `Situ.Annotation.Segmenting` |
   | derive them from messages that contain a start and an end | `Situ.Annotation.Spans` |
   | exchange them with ELAN, Praat, WebVTT and others | `Situ.Annotation.Exchange` |
   | compare two annotators | `Situ.Annotation.Agreement` |
+  | compare any number, and make one layer of theirs | `Situ.Annotation.Consensus` |
   """
   # See docs/adr/0091-annotations-are-streams-with-versions.md.
   alias Situ.{Error, Message}

@@ -172,6 +172,7 @@ const hooks = {
       app.addView(this.view, { timeline: true });
       this.handleEvent("annotations", (state) => this.view.applyUpdate(state));
       this.handleEvent("agreement", showAgreement);
+      this.handleEvent("annotation_merged", (data) => this.view?.merged.show(data));
       this.handleEvent("annotation_tracks", ({ tracks }) => copyBoundaries(this.view, tracks));
       this.handleEvent("annotation_streams", ({ streams }) =>
         chooseLayer(streams, (other) => this.pushEvent("annotation_compare", { with: other })),

@@ -16,7 +16,9 @@ defmodule Situ.CLI.Annotate do
     "srt" => :srt,
     "label_studio" => :label_studio,
     "csv" => :csv,
-    "coco" => :coco
+    "coco" => :coco,
+    "mot" => :mot,
+    "cvat" => :cvat
   }
   @format_words @formats |> Map.keys() |> Enum.sort()
 
@@ -40,8 +42,8 @@ defmodule Situ.CLI.Annotate do
         summary:
           "export an annotation stream for ELAN, Praat, players, Label Studio, spreadsheets, or as COCO",
         about: """
-        The file's extension selects the format (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). The command
-        lists the data that the format cannot hold.
+        The file's extension selects the format (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json, .mot.txt,
+        .cvat.xml). The command lists the data that the format cannot hold.
         """,
         arguments: [
           path: [kind: :recording, doc: "a recording with annotations, or a dataset file"],
@@ -67,7 +69,7 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :pictures,
             :string,
-            "COCO: boxes on each image of this stream of --media-of, not only on key frames",
+            "COCO, MOT, CVAT: boxes on each image of this stream of --media-of, not only on key frames",
             value: "NAME"
           )
         ],
@@ -108,6 +110,12 @@ defmodule Situ.CLI.Annotate do
             :path,
             "the recording that the annotations describe; its first message is time 0 of the file",
             value: "PATH"
+          ),
+          Option.new(
+            :pictures,
+            :string,
+            "MOT, CVAT: the file counts the images of this stream of --media-of",
+            value: "NAME"
           )
         ],
         examples: [
@@ -234,16 +242,9 @@ defmodule Situ.CLI.Annotate do
   defp origin_option(opts, source) do
     cond do
       opts[:origin] -> [origin: opts[:origin]]
-      opts[:media_of] -> [origin: first_time(opts[:media_of])]
+      opts[:media_of] -> [origin: Source.first_time!(opts[:media_of])]
       start = source && Source.start_time(source) -> [origin: start]
       true -> []
-    end
-  end
-
-  defp first_time(path) do
-    case path |> Situ.CLI.Recording.open!() |> Store.interval() do
-      {first, _} -> first
-      nil -> raise Error.new(:empty, "#{path} has no messages", fix: "give --origin")
     end
   end
 
@@ -261,7 +262,8 @@ defmodule Situ.CLI.Annotate do
     schema = if opts[:schema], do: [schema: Error.unwrap!(Schema.load(opts[:schema]))], else: []
     stream = opts[:stream] || "Annotation"
     target = if Source.dataset?(out), do: Source.open!(out, opts[:session])
-    options = schema ++ origin_option(opts, target) ++ [name: stream]
+    times = image_times(opts[:pictures], opts)
+    options = schema ++ origin_option(opts, target) ++ times ++ [name: stream]
 
     {layer, losses} =
       if file == "-" do

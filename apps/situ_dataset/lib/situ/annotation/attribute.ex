@@ -11,10 +11,11 @@ defmodule Situ.Annotation.Attribute do
   defstruct [:name, :kind, :default, :fill, :text, description: "", values: []]
 
   @type choice :: %{
-          value: String.t(),
-          fill: String.t() | nil,
-          text: String.t() | nil,
-          key: String.t() | nil
+          required(:value) => String.t(),
+          required(:fill) => String.t() | nil,
+          required(:text) => String.t() | nil,
+          required(:key) => String.t() | nil,
+          optional(:description) => String.t()
         }
   @type t :: %__MODULE__{
           name: String.t(),
@@ -85,7 +86,12 @@ defmodule Situ.Annotation.Attribute do
 
   defp parse_choice(%{"value" => value} = json) when is_binary(value) do
     with {:ok, fill, text} <- parse_colours(json), {:ok, key} <- parse_key(json["key"]) do
-      {:ok, %{value: value, fill: fill, text: text, key: key}}
+      choice = %{value: value, fill: fill, text: text, key: key}
+      description = json["description"]
+
+      if is_binary(description) and description != "",
+        do: {:ok, Map.put(choice, :description, description)},
+        else: {:ok, choice}
     end
   end
 

@@ -79,6 +79,62 @@ defmodule Situ.Annotation.Edit do
     time |> max(annotation.from) |> then(&if(neighbour, do: min(&1, neighbour.from), else: &1))
   end
 
+  @doc """
+  Adds an annotation by the schema's rule for overlaps: `:refuse` returns the error `:overlap`, `:clip` shortens the new
+  annotation to the first free time in its interval, and `:replace` cuts or deletes the annotations under it.
+
+      iex> alias Situ.Annotation.{Edit, Layer, Schema}
+      iex> {:ok, layer} = Layer.new(%{Schema.text("Words") | overlap: :replace}, [Situ.Annotation.new(0, 10, "P1")])
+      iex> {:ok, layer, _} = Edit.annotate(layer, Situ.Annotation.new(6, 8, "P1"))
+      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
+      [{0, 6}, {6, 8}, {8, 10}]
+  """
+  @spec annotate(Layer.t(), Annotation.t()) :: Layer.edited()
+  def annotate(%Layer{schema: %{overlap: rule}} = layer, %Annotation{} = new) do
+    others =
+      layer
+      |> Layer.between(new.track, new.from, new.to)
+      |> Enum.filter(&Annotation.overlap?(&1, new))
+
+    if rule == :refuse or others == [] or divides_parent?(layer.schema, new.track),
+      do: Layer.add(layer, new),
+      else: annotate_over(layer, new, others, rule)
+  end
+
+  # A new annotation on such a tier divides the one under it.
+  defp divides_parent?(schema, track) do
+    case Schema.find_tier(schema, track) do
+      %{relation: relation} -> relation not in [nil, :included_in]
+      nil -> false
+    end
+  end
+
+  defp annotate_over(layer, new, others, :clip) do
+    from = Enum.reduce(others, new.from, &if(&1.from <= &2 and &1.to > &2, do: &1.to, else: &2))
+    to = for(a <- others, a.from > from, do: a.from) |> Enum.min(fn -> new.to end)
+
+    if from < to,
+      do: Layer.add(layer, %{new | from: from, to: min(to, new.to)}),
+      else: Layer.add(layer, new)
+  end
+
+  defp annotate_over(layer, new, others, :replace) do
+    {cuts, next} = Enum.flat_map_reduce(others, layer.next, &cut_annotation(&1, new, &2))
+    values = Map.merge(Schema.default_values(layer.schema, new.track), new.values)
+    Layer.commit(layer, cuts ++ [{next, nil, %{new | id: next, values: values}}])
+  end
+
+  defp cut_annotation(old, new, next) do
+    before = if old.from < new.from, do: %{old | to: new.from}
+    later = if old.to > new.to, do: %{old | from: new.to}
+
+    case {before, later} do
+      {nil, later} -> {[{old.id, old, later}], next}
+      {before, nil} -> {[{old.id, old, before}], next}
+      {_, later} -> {[{old.id, old, before}, {next, nil, %{later | id: next}}], next + 1}
+    end
+  end
+
   @doc "Sets the interval of an annotation. Error: `:overlap`."
   @spec set_interval(Layer.t(), Layer.id(), {Situ.Time.t(), Situ.Time.t()}) :: Layer.edited()
   def set_interval(%Layer{} = layer, id, {from, to}),
@@ -187,6 +243,6 @@ defmodule Situ.Annotation.Edit do
         end
       end)
 
-    {:ok, full, changes |> Enum.reverse() |> Enum.concat()}
+    {:ok, full, changes |> Enum.reverse() |> Layer.join_transactions()}
   end
 end

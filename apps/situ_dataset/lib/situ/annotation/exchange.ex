@@ -10,6 +10,8 @@ defmodule Situ.Annotation.Exchange do
   | `:srt` | `.srt` | players | same as WebVTT |
   | `:label_studio` | `.json` | Label Studio | notes |
   | `:csv` | `.csv` | spreadsheets | nothing |
+  | `:mot` | `.mot.txt` | trackers (MOT Challenge) | names of tracks, other annotations than boxes |
+  | `:cvat` | `.cvat.xml` | CVAT (for videos) | confidence, notes, other annotations than boxes |
   | `:coco` | `.coco.json` | training of detectors | annotations without a box, key frame flags (with `times:`) |
 
   `write/3` and `read/2` return a list of sentences that describe the lost data; it is empty if nothing was lost.
@@ -24,6 +26,7 @@ defmodule Situ.Annotation.Exchange do
       iex> Layer.annotations(again) == Layer.annotations(layer)
       true
 
+  ELAN's tiers are the tiers of a schema (`Situ.Annotation.Schema`), with their parents, relations and vocabularies.
   ELAN and Praat store one text per interval. A schema with several attributes therefore becomes one row per track and
   attribute, called `TRACK.ATTRIBUTE`. Reading with the same schema joins these rows again.
 
@@ -38,11 +41,13 @@ defmodule Situ.Annotation.Exchange do
     srt: Situ.Annotation.Exchange.Srt,
     label_studio: Situ.Annotation.Exchange.LabelStudio,
     csv: Situ.Annotation.Exchange.Csv,
-    coco: Situ.Annotation.Exchange.Coco
+    coco: Situ.Annotation.Exchange.Coco,
+    mot: Situ.Annotation.Exchange.Mot,
+    cvat: Situ.Annotation.Exchange.Cvat
   }
   @options [
     format: [
-      type: {:in, [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv, :coco]},
+      type: {:in, [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv, :coco, :mot, :cvat]},
       doc: "The file format. Default: detected by the file extension."
     ],
     origin: [
@@ -67,12 +72,14 @@ defmodule Situ.Annotation.Exchange do
     times: [
       type: {:list, :integer},
       doc:
-        "Writing COCO: the times (ns) of the images that get boxes. Default: the times of the key frames."
+        "COCO, MOT and CVAT: the times (ns) of the images. Writing: they get boxes; default: the times of the key " <>
+          "frames. Reading MOT and CVAT: default: the times in the file, or every 40 ms."
     ]
   ]
 
   Situ.Options.add_to_moduledoc(__MODULE__, @options)
 
+  alias Situ.Annotation.Exchange.LayerBuilder
   alias Situ.Annotation.{Layer, Schema}
   alias Situ.{Error, Options}
 
@@ -83,11 +90,14 @@ defmodule Situ.Annotation.Exchange do
     ".vtt" => :webvtt,
     ".srt" => :srt,
     ".coco.json" => :coco,
+    ".mot.txt" => :mot,
+    ".cvat.xml" => :cvat,
     ".json" => :label_studio,
     ".csv" => :csv
   }
 
-  @type format :: :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv | :coco
+  @type format ::
+          :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv | :coco | :mot | :cvat
   @type losses :: [String.t()]
 
   @doc "Encodes a layer as the text of a file. Times are relative to `origin:`. The losses describe all omitted data."
@@ -201,42 +211,10 @@ defmodule Situ.Annotation.Exchange do
          do: build_layer(schema, annotations, losses, name)
   end
 
-  # No rule of the formats forbids overlaps on a track: the second of two overlapping annotations gets another track.
   defp build_layer(schema, annotations, losses, _name) do
-    {:ok, empty} = Layer.new(schema)
-
-    annotations
-    |> Enum.sort_by(&{&1.from, &1.to})
-    |> Enum.reduce_while({:ok, empty, 0}, fn annotation, {:ok, layer, moved} ->
-      case add_on_free_track(layer, annotation, annotation.track, 1) do
-        {:ok, layer, 1} -> {:cont, {:ok, layer, moved}}
-        {:ok, layer, _} -> {:cont, {:ok, layer, moved + 1}}
-        {:error, error} -> {:halt, {:error, error}}
-      end
-    end)
-    |> case do
-      {:ok, layer, 0} ->
-        {:ok, layer, losses}
-
-      {:ok, layer, n} ->
-        {:ok, layer,
-         losses ++
-           [
-             "#{n} annotations overlap with others of their track: they were moved to additional tracks"
-           ]}
-
-      error ->
-        error
-    end
-  end
-
-  defp add_on_free_track(layer, annotation, track, n) do
-    name = if n == 1, do: track, else: "#{track} (#{n})"
-
-    case Layer.add(layer, %{annotation | track: name}) do
-      {:ok, layer, _} -> {:ok, layer, n}
-      {:error, %{code: :overlap}} -> add_on_free_track(layer, annotation, track, n + 1)
-      {:error, error} -> {:error, error}
+    case LayerBuilder.build_layer(schema, annotations) do
+      {:ok, layer, more} -> {:ok, layer, losses ++ more}
+      error -> error
     end
   end
 

@@ -15,14 +15,15 @@ defmodule Situ.Annotation.Layer do
       iex> Layer.fetch!(layer, 1).values
       %{"Speech" => "speaks"}
 
-  The rules are: an annotation does not end before it begins, its values fit the schema, and annotations of one
-  track do not overlap (`Situ.Annotation.overlap?/2`).
+  The rules are: an annotation does not end before it begins, its values fit the schema, annotations of one track do not
+  overlap (`Situ.Annotation.overlap?/2`), and annotations of a child tier fit their parents (`Situ.Annotation.Schema`).
+  An edit of a parent also changes its children: they are deleted, clipped or moved along.
 
   A transaction is a list of `{id, before, after}`; `nil` means that the annotation does not exist. Edits return
   `{:ok, layer, transaction}`. `apply_transaction/2` applies a transaction, and `invert_transaction/1` reverses it.
   """
   alias Situ.{Annotation, Error}
-  alias Situ.Annotation.{Review, Schema}
+  alias Situ.Annotation.{Review, Schema, TierRules, TrackTree}
 
   @enforce_keys [:schema]
   defstruct [:schema, by_id: %{}, tracks: %{}, next: 1, review: %{}]
@@ -54,22 +55,23 @@ defmodule Situ.Annotation.Layer do
     ids = Enum.map(numbered, &(&1.id || 0)) ++ Map.keys(review)
     layer = %__MODULE__{schema: schema, next: Enum.max(ids, fn -> 0 end) + 1}
 
+    # Tiers are checked when all annotations are there, because a child may be listed before its parent.
     Enum.reduce_while(numbered, {:ok, layer}, fn annotation, {:ok, layer} ->
-      case put_new(layer, annotation) do
-        {:ok, layer, _} -> {:cont, {:ok, layer}}
-        {:error, error} -> {:halt, {:error, error}}
+      id = annotation.id || layer.next
+
+      case insert_new({id, nil, put_defaults(layer, %{annotation | id: id})}, {:ok, layer}) do
+        {:cont, result} -> {:cont, result}
+        {:halt, error} -> {:halt, error}
       end
     end)
     |> case do
-      {:ok, layer} -> {:ok, %{layer | review: review}}
-      error -> error
+      {:ok, layer} ->
+        with :ok <- TierRules.check_layer(layer), do: {:ok, %{layer | review: review}}
+
+      error ->
+        error
     end
   end
-
-  defp put_new(layer, %{id: nil} = annotation), do: add(layer, annotation)
-
-  defp put_new(layer, annotation),
-    do: commit(layer, [{annotation.id, nil, put_defaults(layer, annotation)}])
 
   # The following functions are queries.
 
@@ -103,12 +105,8 @@ defmodule Situ.Annotation.Layer do
 
   @doc "Returns the last annotation of a track that begins before `time`, or `nil`."
   @spec previous_annotation(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
-  def previous_annotation(%__MODULE__{} = layer, track, time) do
-    case layer |> track_tree(track) |> last_before(time) do
-      [id] -> Map.fetch!(layer.by_id, id)
-      [] -> nil
-    end
-  end
+  def previous_annotation(%__MODULE__{} = layer, track, time),
+    do: TrackTree.find_before(layer, track, time)
 
   @doc "Returns the first annotation of a track that begins after `time`, or `nil`."
   @spec next_annotation(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
@@ -143,6 +141,11 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
+  @doc "Returns the annotations of a track that share time with a span, in the order of time."
+  @spec between(t(), String.t(), Situ.Time.t(), Situ.Time.t()) :: [Annotation.t()]
+  def between(%__MODULE__{} = layer, track, from, to),
+    do: TrackTree.list_between(layer, track, from, to)
+
   defp track_tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
 
   # The following functions are edits.
@@ -155,7 +158,11 @@ defmodule Situ.Annotation.Layer do
   end
 
   defp put_defaults(layer, annotation),
-    do: %{annotation | values: Map.merge(Schema.default_values(layer.schema), annotation.values)}
+    do: %{
+      annotation
+      | values:
+          Map.merge(Schema.default_values(layer.schema, annotation.track), annotation.values)
+    }
 
   @doc "Deletes all of these annotations, or none if one does not exist."
   @spec remove(t(), id() | [id()]) :: edited()
@@ -213,16 +220,33 @@ defmodule Situ.Annotation.Layer do
     with {:ok, old} <- fetch(layer, id), do: change(layer, id, proposed?: false, by: by || old.by)
   end
 
-  @doc "Applies a transaction and also returns it; only the changed annotations are checked against the rules."
+  @doc """
+  Applies a transaction, together with the changes of child tiers that follow from it, and returns the complete
+  transaction. Only the changed annotations are checked against the rules.
+  """
   @spec commit(t(), transaction()) :: edited()
   def commit(%__MODULE__{} = layer, transaction) do
-    with {:ok, layer} <- __MODULE__.apply_transaction(layer, transaction),
+    with {:ok, transaction} <- TierRules.complete_transaction(layer, transaction),
+         {:ok, layer} <- __MODULE__.apply_transaction(layer, transaction),
          do: {:ok, layer, transaction}
+  end
+
+  @doc "Joins transactions that were made one after the other into one."
+  @spec join_transactions([transaction()]) :: transaction()
+  def join_transactions(transactions) do
+    transactions
+    |> Enum.concat()
+    |> Enum.group_by(&elem(&1, 0))
+    |> Enum.map(fn {id, [{_, before, _} | _] = changes} ->
+      {id, before, changes |> List.last() |> elem(2)}
+    end)
+    |> Enum.reject(fn {_, before, later} -> before == nil and later == nil end)
   end
 
   @doc """
   Applies a transaction completely or not at all. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`,
-  `:bad_annotation`, and `:stale_edit` if the layer has changed since the transaction was made.
+  `:bad_annotation`, `:no_parent` and `:bad_tier` (of a child tier), and `:stale_edit` if the layer has changed since
+  the transaction was made.
   """
   @spec apply_transaction(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
   def apply_transaction(%__MODULE__{} = layer, transaction) do
@@ -231,7 +255,10 @@ defmodule Situ.Annotation.Layer do
         Enum.reduce(transaction, layer, fn {id, old, _}, layer -> remove_old(layer, id, old) end)
 
       bare = %{bare | review: Review.record_transaction(layer.review, transaction)}
-      Enum.reduce_while(transaction, {:ok, bare}, &insert_new/2)
+
+      with {:ok, layer} <- Enum.reduce_while(transaction, {:ok, bare}, &insert_new/2),
+           :ok <- TierRules.check_transaction(layer, transaction),
+           do: {:ok, layer}
     end
   end
 
@@ -282,39 +309,10 @@ defmodule Situ.Annotation.Layer do
 
   # Annotations of a track do not overlap, so only the nearest ones on either side can overlap with a new one.
   defp check_free(layer, new) do
-    case Enum.find(nearest_neighbours(layer, new), &Annotation.overlap?(&1, new)) do
+    case Enum.find(TrackTree.list_nearest(layer, new), &Annotation.overlap?(&1, new)) do
       nil -> :ok
       other -> {:error, overlap_error(new, other)}
     end
-  end
-
-  defp nearest_neighbours(layer, new) do
-    tree = track_tree(layer, new.track)
-    after_it = tree |> ids_from({new.from, new.from}) |> Enum.take(2)
-    before = last_before(tree, new.from)
-    for id <- before ++ after_it, do: Map.fetch!(layer.by_id, id)
-  end
-
-  defp ids_from(tree, key) do
-    Stream.unfold(:gb_trees.iterator_from(key, tree), fn iterator ->
-      case :gb_trees.next(iterator) do
-        {_, id, iterator} -> {id, iterator}
-        :none -> nil
-      end
-    end)
-  end
-
-  # Finds the last annotation that begins before `time`. In the oldest supported OTP release, gb_trees iterates only
-  # forward, so this walks down the tree.
-  @dialyzer {:no_opaque, last_before: 2, nearest_neighbours: 2}
-  defp last_before({_size, node}, time), do: descend_before(node, time, [])
-
-  defp descend_before(nil, _time, best), do: best
-
-  defp descend_before({{from, _}, id, smaller, bigger}, time, best) do
-    if from < time,
-      do: descend_before(bigger, time, [id]),
-      else: descend_before(smaller, time, best)
   end
 
   defp overlap_error(new, other) do

@@ -16,16 +16,51 @@ defmodule Situ.Annotation.Schema do
   `priv/schema/annotation.schema.json` describes the JSON form (`parse/1`, `to_json/1`; `load/1` and `save/2` for
   files). The kinds are `:finite` (one of `values`), `:text`, `:number` and `:bool`. Colours are `#rrggbb`. A key is
   one character and is unique in the schema.
+
+  ## Tiers
+
+  `tiers` describes tracks that depend on each other, as in ELAN. The annotations of a tier have one attribute. If it
+  has a `parent`, its `relation` is one of:
+
+  | relation | annotations |
+  |---|---|
+  | `:included_in` | are inside an annotation of the parent; gaps are allowed |
+  | `:time_subdivision` | divide an annotation of the parent, without gaps |
+  | `:symbolic_subdivision` | divide it into equal parts; they have an order, but no times of their own |
+  | `:symbolic_association` | one for each annotation of the parent, with its times |
+
+  A tier `Words` describes the track `Words`, and also a track for each person, such as `Words@Ada`, whose parent then
+  is the parent's track of that person. Tracks without a tier have all attributes.
+
+      iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "Speech",
+      ...>   "attributes" => [%{"name" => "Text", "kind" => "text"}],
+      ...>   "tiers" => [
+      ...>     %{"name" => "Utterance", "attribute" => "Text"},
+      ...>     %{"name" => "Words", "attribute" => "Text", "parent" => "Utterance", "relation" => "included_in"}]})
+      iex> Situ.Annotation.Schema.find_tier(schema, "Words@Ada").parent
+      "Utterance@Ada"
+
+  `overlap` says what happens if a new annotation would overlap others of its track (`Situ.Annotation.Edit.annotate/2`):
+  it is refused (`:refuse`), clipped to the free time (`:clip`), or replaces their parts (`:replace`).
   """
-  alias Situ.Annotation.Attribute
+  alias Situ.Annotation.{Attribute, Tier}
   alias Situ.EditLog.{Document, JsonFormat}
   alias Situ.Error
 
   @enforce_keys [:name, :attributes]
-  defstruct [:name, attributes: [], description: ""]
+  defstruct [:name, attributes: [], description: "", tiers: [], overlap: :refuse]
 
   @type value :: String.t() | number() | boolean()
-  @type t :: %__MODULE__{name: String.t(), description: String.t(), attributes: [Attribute.t()]}
+  @type overlap :: :refuse | :clip | :replace
+  @type t :: %__MODULE__{
+          name: String.t(),
+          description: String.t(),
+          attributes: [Attribute.t()],
+          tiers: [Tier.t()],
+          overlap: overlap()
+        }
+
+  @overlaps %{nil => :refuse, "refuse" => :refuse, "clip" => :clip, "replace" => :replace}
 
   @doc "Builds a schema with one finite attribute `name`, such as `finite(\"Speech\", [\"speaking\", \"silent\"])`."
   @spec finite(String.t(), [String.t()]) :: t()
@@ -57,9 +92,19 @@ defmodule Situ.Annotation.Schema do
     with :ok <- check_name(name),
          {:ok, attributes} <- parse_attributes(attributes, []),
          :ok <- check_distinct(Enum.map(attributes, & &1.name), "attribute"),
-         :ok <- check_distinct(list_keys(attributes), "key") do
+         :ok <- check_distinct(list_keys(attributes), "key"),
+         {:ok, tiers} <- parse_tiers(json["tiers"], attributes),
+         {:ok, overlap} <- parse_overlap(json["overlap"]) do
       description = if is_binary(json["description"]), do: json["description"], else: ""
-      {:ok, %__MODULE__{name: name, attributes: attributes, description: description}}
+
+      {:ok,
+       %__MODULE__{
+         name: name,
+         attributes: attributes,
+         description: description,
+         tiers: tiers,
+         overlap: overlap
+       }}
     end
   end
 
@@ -77,6 +122,16 @@ defmodule Situ.Annotation.Schema do
       {:error, why} -> schema_error(why)
     end
   end
+
+  defp parse_tiers(json, attributes) do
+    with {:error, why} <- Tier.parse_all(json, Enum.map(attributes, & &1.name)),
+         do: schema_error(why)
+  end
+
+  defp parse_overlap(name) when is_map_key(@overlaps, name), do: {:ok, @overlaps[name]}
+
+  defp parse_overlap(name),
+    do: schema_error("its overlap rule is #{inspect(name)}, not refuse, clip or replace")
 
   defp list_keys(attributes), do: for(a <- attributes, v <- a.values, v.key, do: v.key)
 
@@ -103,7 +158,19 @@ defmodule Situ.Annotation.Schema do
       "attributes" => Enum.map(schema.attributes, &Attribute.to_json/1)
     }
 
-    if schema.description == "", do: json, else: Map.put(json, "description", schema.description)
+    json =
+      if schema.description == "",
+        do: json,
+        else: Map.put(json, "description", schema.description)
+
+    json =
+      if schema.tiers == [],
+        do: json,
+        else: Map.put(json, "tiers", Enum.map(schema.tiers, &Tier.to_json/1))
+
+    if schema.overlap == :refuse,
+      do: json,
+      else: Map.put(json, "overlap", Atom.to_string(schema.overlap))
   end
 
   @doc "Reads a schema file."
@@ -144,6 +211,32 @@ defmodule Situ.Annotation.Schema do
   @spec default_values(t()) :: %{String.t() => value()}
   def default_values(%__MODULE__{} = schema),
     do: Map.new(schema.attributes, &{&1.name, &1.default})
+
+  @doc "Returns the default values of an annotation of a track: of the attribute of its tier, or of all attributes."
+  @spec default_values(t(), String.t()) :: %{String.t() => value()}
+  def default_values(%__MODULE__{} = schema, track) do
+    case find_tier(schema, track) do
+      nil -> default_values(schema)
+      tier -> schema |> default_values() |> Map.take([tier.attribute])
+    end
+  end
+
+  @doc "Returns the tier that describes a track, or `nil`."
+  @spec find_tier(t(), String.t()) :: Tier.t() | nil
+  def find_tier(%__MODULE__{} = schema, track), do: Tier.find_tier(schema.tiers, track)
+
+  @doc "Returns the number of tiers above a track."
+  @spec find_depth(t(), String.t()) :: non_neg_integer()
+  def find_depth(%__MODULE__{} = schema, track) do
+    case find_tier(schema, track) do
+      %{parent: parent} when parent != nil -> 1 + find_depth(schema, parent)
+      _ -> 0
+    end
+  end
+
+  @doc "Returns the tiers that depend on a track."
+  @spec child_tiers(t(), String.t()) :: [Tier.t()]
+  def child_tiers(%__MODULE__{} = schema, track), do: Tier.child_tiers(schema.tiers, track)
 
   @doc "Checks that the values fit the schema. Errors: `:unknown_attribute`, `:bad_value`."
   @spec check_values(t(), map()) :: :ok | {:error, Error.t()}

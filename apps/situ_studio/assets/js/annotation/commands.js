@@ -20,6 +20,10 @@ function runCommand(panel, { key, shiftKey }) {
   if (key === "Enter" && shiftKey && both && chosen)
     panel.pushEdit("interval", { id: chosen.id, from: toAbsolute(sel[0]), to: toAbsolute(sel[1]) });
   else if (key === "Enter" && both) panel.addAnnotation(sel[0], sel[1]);
+  else if ((key === "d" || key === "D") && panel.merged.active) panel.merged.step(key === "d" ? 1 : -1);
+  else if (key === "g") panel.segmentation.switchMode();
+  else if (key === "T") panel.transcription.start();
+  else if ((key === "<" || key === ">") && chosen) shiftBy(panel, chosen, key === "<" ? -1 : 1);
   else if (key === "i") panel.addAnnotation(cursor, cursor);
   else if ((key === "[" || key === "]") && chosen) panel.moveEdge(chosen, key === "[" ? "from" : "to", cursor);
   else if (shiftKey && (key === "ArrowLeft" || key === "ArrowRight"))
@@ -30,6 +34,13 @@ function runCommand(panel, { key, shiftKey }) {
   else if (key === "ArrowDown" || key === "ArrowUp") nextTrack(panel, key === "ArrowDown" ? 1 : -1);
   else return false;
   return true;
+}
+
+// Moves an annotation and its children by a half percent of the view.
+function shiftBy(panel, chosen, direction) {
+  const { view } = panel.app.time.get();
+  const by = Math.round((direction * (view[1] - view[0])) / 200);
+  panel.pushEdit("shift", { id: chosen.id, by: String(by) });
 }
 
 // Selects the annotation before or after the cursor on the current track, and scrolls to it.

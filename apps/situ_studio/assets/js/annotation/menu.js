@@ -51,6 +51,7 @@ function itemEntries(panel, item) {
     { text: "Merge with the next", disabled: !next, run: () => pushEdit("merge", { with: next.id }) },
     { text: "Move to another track…", run: () => moveToTrack(panel, item) },
     { text: "Delete", hint: "Delete", run: () => pushEdit("remove") },
+    { text: "Delete and close the gap", run: () => pushEdit("close_gap") },
     "-",
   ];
 }
@@ -91,6 +92,12 @@ function trackEntries(panel, t) {
     },
     { text: "A point here", run: () => panel.addAnnotation(t, t) },
     "-",
+    {
+      text: "Move all later annotations by the selection's length",
+      disabled: !both,
+      run: () =>
+        panel.pushEdit("shift_after", { at: panel.app.client.toAbsolute(sel[0]), by: String(sel[1] - sel[0]) }),
+    },
     { text: "Choose, create or rename a track…", run: () => panel.tools.chooseTrack() },
     {
       text: `Copy boundaries to track ${track}…`,

@@ -23,7 +23,9 @@ export function dragEdge(panel, e, item, edge) {
     panel.drag = null;
     app.scheduleDraw(panel);
     if (!keep || !drag) return;
-    const applyEdge = (t) => panel.moveEdge(item, edge, t, m.altKey);
+    // with Ctrl, everything beyond the edge moves along
+    const applyEdge = (t) =>
+      m.ctrlKey || m.metaKey ? panel.rippleEdge(item, edge, t) : panel.moveEdge(item, edge, t, m.altKey);
     if (m.shiftKey) applyEdge(drag.t);
     else app.nearestMessageTime(drag.t).then(applyEdge, () => applyEdge(drag.t));
   };

@@ -10,9 +10,13 @@ import { KeyState } from "./keys.js";
 import { dragEdge, edgeReach, describeAnnotation } from "./mouse.js";
 import { drawName, freeNumber, rowLabel, listRows } from "./rows.js";
 import { handleKey } from "./commands.js";
+import { Merged } from "./merged.js";
 import { Review } from "./review.js";
+import { Segmentation } from "./segmentation.js";
 import { Spatial } from "./spatial.js";
+import { findTier, orderTracks, trackFor } from "./tiers.js";
 import { Tools } from "./tools.js";
+import { Transcription } from "./transcription.js";
 
 const FIRST = "1";
 
@@ -23,7 +27,7 @@ export class AnnotationPanel {
     el.classList.add("annotations");
     this.canvas = el.appendChild(document.createElement("canvas"));
     /** @type {import("./rows.js").AnnotationState} */
-    this.state = { attributes: [], tracks: [], items: [], undo: 0, redo: 0 };
+    this.state = { attributes: [], tracks: [], tiers: [], items: [], undo: 0, redo: 0 };
     /** @type {{id: string, edge: string, t: number} | null} the edge that the mouse moves */
     this.drag = null;
     this.keys = new KeyState();
@@ -31,6 +35,9 @@ export class AnnotationPanel {
     this.attribute = 0;
     this.shownTracks = "all";
     this.review = new Review(this);
+    this.merged = new Merged(this);
+    this.segmentation = new Segmentation(this);
+    this.transcription = new Transcription(this);
     this.spatial = new Spatial(this);
     this.tools = new Tools(el, this);
     this.observer = new ResizeObserver(() => this.resize());
@@ -72,6 +79,8 @@ export class AnnotationPanel {
     );
     this.tools.update();
     this.review.update();
+    this.transcription.update();
+    this.merged.update();
     this.fitHeight();
     this.scheduleAll();
   }
@@ -101,19 +110,23 @@ export class AnnotationPanel {
   }
 
   trackNames() {
-    const names = new Set(this.state.tracks);
-    names.add(this.track);
-    return [...names].sort();
+    const { tiers, tracks } = this.state;
+    // a schema with tiers says which tracks there are
+    return orderTracks(tiers.length && this.track === FIRST ? tracks : [...tracks, this.track], tiers);
   }
 
   visibleRows() {
     const { state, track, attribute, shownTracks: shown } = this;
     const spatial = this.spatial.kind != null;
-    return listRows({ state, track, attribute, shown, spatial, tracks: this.trackNames() }, this.app.time.get().view);
+    const rows = { state, track, attribute, shown, spatial, tracks: this.trackNames() };
+    return this.merged.extendRows(listRows(rows, this.app.time.get().view));
   }
 
   rowName(row) {
+    if (row.layer) return row.layer;
     const several = this.spatial.kind == null && this.state.attributes.length > 1;
+    const tier = findTier(this.state.tiers, row.track);
+    if (tier) return `${tier.depth ? "└ " : ""}${row.track}`;
     return rowLabel(row, this.state.attributes, several);
   }
 
@@ -135,7 +148,7 @@ export class AnnotationPanel {
   // --- keys: called for every key of the page while annotating; returns true if the key was handled
 
   handleKeyDown(e) {
-    if (this.review.handleKeyDown(e)) return true;
+    if (this.review.handleKeyDown(e) || this.segmentation.handleKeyDown(e)) return true;
     if (e.ctrlKey || e.metaKey || e.altKey) return false;
     if (this.keys.has(e.key)) {
       if (!e.repeat) this.addFinished(this.keys.pressKey(e.key, this.app.time.get().cursor, performance.now()));
@@ -155,14 +168,19 @@ export class AnnotationPanel {
     if (annotation) this.addAnnotation(annotation.from, annotation.to, annotation.values);
   }
 
-  addAnnotation(from, to, values = {}) {
+  // Without a track, the annotation is on the chosen one, or on the tier that has the attribute of its value.
+  addAnnotation(from, to, values = {}, track = trackFor(this.state.tiers, this.track, Object.keys(values)[0])) {
     const { client } = this.app;
     const [a, b] = [from, to].map((t) => client.toAbsolute(t));
-    this.pushEdit("add", { from: a, to: b, track: this.track, values, by: this.annotator });
+    this.pushEdit("add", { from: a, to: b, track, values, by: this.annotator });
   }
 
   moveEdge({ id }, edge, t, alone = false) {
     this.pushEdit("edge", { id, edge, to: this.app.client.toAbsolute(t), alone });
+  }
+
+  rippleEdge({ id }, edge, t) {
+    this.pushEdit("ripple", { id, edge, to: this.app.client.toAbsolute(t) });
   }
 
   // --- the mouse
@@ -173,13 +191,13 @@ export class AnnotationPanel {
     const px = (view[1] - view[0]) / (box.width - GUTTER.left - GUTTER.right);
     const t = view[0] + (e.clientX - box.left - GUTTER.left) * px;
     const row = this.visibleRows()[Math.floor((e.clientY - box.top - this.toolsHeight) / ROW)];
-    return { t, px, track: row?.track ?? null, attribute: row?.attribute ?? null };
+    return { t, px, track: row?.track ?? null, attribute: row?.attribute ?? null, other: row?.layer != null };
   }
 
   // Returns the annotation under the mouse and, if the pointer is close to one, its edge: {item, edge}.
   annotationUnder(e) {
-    const { t, px, track } = this.locatePointer(e);
-    const own = this.state.items.filter((a) => a.track === track);
+    const { t, px, track, other } = this.locatePointer(e);
+    const own = other ? [] : this.state.items.filter((a) => a.track === track);
     for (const edge of ["to", "from"]) {
       const item = own.find((a) => Math.abs(a[edge] - t) < edgeReach(e) * px);
       if (item) return { item, edge };
@@ -254,20 +272,22 @@ export class AnnotationPanel {
     const rows = this.visibleRows();
     if (this.shownTracks === "view") this.fitHeight();
     rows.forEach((r, i) =>
-      drawName(ctx, this.rowName(r), head + i * ROW, { chosen: r.track === this.track, first: r.first }),
+      drawName(ctx, this.rowName(r), head + i * ROW, { chosen: r.track === this.track && !r.layer, first: r.first }),
     );
     ctx.save();
     ctx.beginPath();
     ctx.rect(GUTTER.left, head - 2, inner, h);
     ctx.clip();
     drawGrid(ctx, rulerTicks(view, inner, this.app.client.origin).at.map(timeToX), head, h);
-    rows.forEach(({ track, attribute }, i) => {
+    rows.forEach((row, i) => {
+      const { track, attribute } = row;
+      if (row.layer) return this.merged.drawRow(ctx, row, timeToX, head + i * ROW);
       const look = { state: this.state, attribute, selected: this.selected, least: this.tools.minConfidence };
       for (const a of this.state.items)
         if (a.track === track) drawAnnotation(ctx, this.withDrag(a), timeToX, head + i * ROW, look);
       if (track !== this.track) return;
-      for (const p of this.keys.pendingAnnotations(cursor))
-        drawAnnotation(ctx, { ...p, track, pending: true }, timeToX, head + i * ROW, look);
+      const pending = [...this.keys.pendingAnnotations(cursor), ...this.segmentation.pendingAnnotations(cursor)];
+      for (const p of pending) drawAnnotation(ctx, { ...p, track, pending: true }, timeToX, head + i * ROW, look);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
@@ -279,7 +299,7 @@ export class AnnotationPanel {
   }
 
   cursorMoved() {
-    if (this.keys.open.size) this.app.scheduleDraw(this);
+    if (this.keys.open.size || this.segmentation.active) this.app.scheduleDraw(this);
   }
 
   themeChanged() {
@@ -288,6 +308,7 @@ export class AnnotationPanel {
 
   destroy() {
     this.review.stop();
+    this.transcription.stop();
     this.observer.disconnect();
     this.state = { ...this.state, attributes: [] };
     this.scheduleAll();

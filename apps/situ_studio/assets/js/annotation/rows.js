@@ -3,10 +3,12 @@
 import { truncateText } from "../page/gutter.js";
 import { GUTTER, themeColors } from "../page/theme.js";
 import { ROW } from "./draw.js";
+import { findTier } from "./tiers.js";
 
 /**
  * @typedef {{id: string, track: string, from: number, to: number, values: object}} Annotation
- * @typedef {{attributes: object[], tracks: string[], items: Annotation[], undo: number, redo: number,
+ * @typedef {{attributes: object[], tracks: string[],
+ *   tiers: import("./tiers.js").Tier[], items: Annotation[], undo: number, redo: number,
  *   version?: number}} AnnotationState
  */
 
@@ -30,8 +32,13 @@ export function listRows({ state, track, attribute, shown, spatial, tracks }, vi
   const isInView = (name) => state.items.some((a) => a.track === name && a.to >= view[0] && a.from <= view[1]);
   const visible = tracks.filter((name) => name === track || shown === "all" || (shown === "view" && isInView(name)));
   const several = !spatial && state.attributes.length > 1;
-  const indices = several ? state.attributes.map((_, i) => i) : [attribute];
-  return visible.flatMap((name) => indices.map((i, nth) => ({ track: name, attribute: i, first: nth === 0 })));
+  const all = several ? state.attributes.map((_, i) => i) : [attribute];
+  // a tier has one attribute
+  const indices = (name) => {
+    const own = findTier(state.tiers, name)?.attribute;
+    return own ? [state.attributes.findIndex((a) => a.name === own)] : all;
+  };
+  return visible.flatMap((name) => indices(name).map((i, nth) => ({ track: name, attribute: i, first: nth === 0 })));
 }
 
 // Returns the label of a row: its track, and its attribute if there are several.

@@ -3,7 +3,10 @@
 
 import { askText } from "../page/questions.js";
 import { readAnnotator, setAnnotator } from "./annotator.js";
+import { agreementText } from "./merged.js";
 import { REVIEW_KEYS, progressText } from "./review.js";
+import { SEGMENTATIONS } from "./segmentation.js";
+import { findTier } from "./tiers.js";
 
 export class Tools {
   constructor(el, panel) {
@@ -32,6 +35,25 @@ export class Tools {
       this.pushEvent("annotation_history"),
     );
     this.addButton("Agreement…", "Compare this layer with another", () => this.pushEvent("annotation_streams"));
+    this.segment = this.addButton(
+      "",
+      "Make annotations by pressing Enter at their boundaries during playback (g)",
+      () => panel.segmentation.switchMode(),
+    );
+    this.transcribe = this.addButton("Transcribe", "Type the texts row by row while each is played (T)", () =>
+      panel.transcription.active ? panel.transcription.stop() : panel.transcription.start(),
+    );
+    this.merged = this.addButton("All annotators", "Show the layers of all annotators, and where they agree", () =>
+      panel.merged.toggle(),
+    );
+    this.agreement = this.addElement("i");
+    this.agreement.setAttribute("role", "status");
+    this.agreement.title = "d and D go to the next and previous disagreement";
+    this.consensus = this.addButton(
+      "Consensus",
+      "Create a layer with all agreements, and with proposals where the annotators disagree",
+      () => this.pushEvent("annotation_consensus"),
+    );
     this.who = this.addButton("", "Annotator name stored with new annotations", () => this.askName());
     this.review = this.addButton("Review", "Review the proposals one by one (q)", () =>
       panel.review.active ? panel.review.stop() : panel.review.start(),
@@ -97,10 +119,23 @@ export class Tools {
   }
 
   update() {
-    const { state, attribute } = this.panel;
+    const { state } = this.panel;
     const item = this.panel.findItem();
+    const tier = findTier(state.tiers, this.panel.track);
+    if (tier) this.panel.attribute = state.attributes.findIndex((a) => a.name === tier.attribute);
+    const { attribute } = this.panel;
+    const { mode } = this.panel.segmentation.marks;
+    this.segment.textContent = SEGMENTATIONS.find(([name]) => name === mode)?.[1] ?? "";
+    this.segment.setAttribute("aria-pressed", String(mode !== "off"));
+    this.segment.hidden = this.panel.spatial.kind != null;
+    const { merged } = this.panel;
+    this.merged.setAttribute("aria-pressed", String(merged.active));
+    this.agreement.textContent = merged.active ? agreementText(merged.data) : "";
+    this.consensus.hidden = !merged.active;
+    this.transcribe.hidden = !state.attributes.some((a) => a.kind === "text");
+    this.transcribe.setAttribute("aria-pressed", String(this.panel.transcription.active));
     this.title.textContent = `${state.stream ?? ""}  ${state.items.length}`;
-    this.attribute.hidden = state.attributes.length < 2;
+    this.attribute.hidden = state.attributes.length < 2 || tier != null;
     const names = state.attributes.map((a) => a.name).join("\n");
     if (names !== this.names) {
       this.names = names;

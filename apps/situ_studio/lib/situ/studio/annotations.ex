@@ -8,7 +8,7 @@ defmodule Situ.Studio.Annotations do
   # (`Situ.Annotation.Editor`), so a crash of the page or the server loses nothing.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Edit, Editor, Layer, Schema}
-  alias Situ.Studio.Annotations.{Editors, Proposals, Request, SchemaForm}
+  alias Situ.Studio.Annotations.{Editors, Proposals, Request, SchemaForm, TierList}
   alias Situ.Studio.Catalog
 
   @most 20_000
@@ -110,6 +110,7 @@ defmodule Situ.Studio.Annotations do
       stream: stream,
       attributes: Enum.map(layer.schema.attributes, &attribute_to_map/1),
       tracks: Layer.track_names(layer),
+      tiers: TierList.list_tiers(layer),
       items: layer |> Layer.annotations() |> Enum.take(@most) |> Enum.map(&annotation_to_map/1),
       review: Layer.review_progress(layer),
       undo: status.undo,
@@ -126,8 +127,9 @@ defmodule Situ.Studio.Annotations do
     %{name: a.name, kind: a.kind, default: a.default, fill: a.fill, values: values}
   end
 
-  # Times are strings because JavaScript numbers cannot represent ns since 1970 exactly.
-  defp annotation_to_map(a) do
+  @doc "Converts an annotation for the page. Times are strings because JavaScript numbers are not exact enough."
+  @spec annotation_to_map(Annotation.t()) :: map()
+  def annotation_to_map(a) do
     %{
       id: a.id,
       from: Integer.to_string(a.from),
@@ -176,8 +178,9 @@ defmodule Situ.Studio.Annotations do
   """
   @spec put_schema(pid(), [SchemaForm.attribute()]) :: :ok | {:error, Error.t()}
   def put_schema(editor, draft) do
-    with {:ok, schema, renamed} <-
-           SchemaForm.build_schema(Editor.current_layer(editor).schema.name, draft),
+    old = Editor.current_layer(editor).schema
+
+    with {:ok, schema, renamed} <- SchemaForm.build_schema(old, draft),
          names = Enum.map(schema.attributes, & &1.name),
          do: edit_result(Editor.put_schema(editor, schema, &rename_values(&1, renamed, names)))
   end

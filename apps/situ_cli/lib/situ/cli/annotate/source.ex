@@ -136,4 +136,13 @@ defmodule Situ.CLI.Annotate.Source do
     |> Enum.map(&elem(&1, 0))
     |> Enum.min(fn -> nil end)
   end
+
+  @doc "Returns the time of a recording's first message, or raises the error."
+  @spec first_time!(Path.t()) :: Situ.Time.t()
+  def first_time!(path) do
+    case path |> Situ.CLI.Recording.open!() |> Store.interval() do
+      {first, _} -> first
+      nil -> raise Error.new(:empty, "#{path} has no messages", fix: "give --origin")
+    end
+  end
 end

@@ -16,6 +16,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   # of their names.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
+  alias Situ.Annotation.Exchange.BoxTracks
   alias Situ.Annotation.{Layer, Schema}
 
   @box_keys ~w(x y width height)
@@ -23,13 +24,9 @@ defmodule Situ.Annotation.Exchange.Coco do
 
   @impl true
   def encode(layer, opts) do
-    {boxes, others} = layer |> Layer.annotations() |> Enum.split_with(&box?/1)
-    {lasting, frames} = Enum.split_with(boxes, &(&1.from < &1.to))
-
-    image_boxes =
-      frames |> Enum.group_by(& &1.track) |> Enum.flat_map(&boxes_on_images(&1, opts[:times]))
-
-    image_boxes = image_boxes ++ Enum.flat_map(lasting, &still_boxes(&1, opts[:times]))
+    {boxes, others} = layer |> Layer.annotations() |> Enum.split_with(&BoxTracks.box?/1)
+    lasting = Enum.filter(boxes, &(&1.from < &1.to))
+    image_boxes = boxes_on_images(layer, boxes, opts[:times])
 
     by = Enum.find(layer.schema.attributes, &(&1.kind == :finite))
 
@@ -62,8 +59,6 @@ defmodule Situ.Annotation.Exchange.Coco do
     {Situ.JSON.encode_pretty(file) <> "\n", describe_losses(others, lasting, opts[:times])}
   end
 
-  defp box?(a), do: Enum.all?(@box_keys, &is_number(a.values[&1]))
-
   defp number_values(values), do: values |> Enum.with_index(1) |> Map.new()
   defp sort_by_id(ids), do: Enum.sort_by(ids, &elem(&1, 1))
 
@@ -95,45 +90,14 @@ defmodule Situ.Annotation.Exchange.Coco do
     |> Map.reject(fn {_, value} -> value == nil end)
   end
 
-  # The boxes of a track: its key frames, or one per image between the first and the last key frame.
-  defp boxes_on_images({_track, frames}, nil), do: frames
+  # Without times of images, each box is on an image of its own.
+  defp boxes_on_images(_layer, boxes, nil), do: for(box <- boxes, do: %{box | to: box.from})
 
-  defp boxes_on_images({_track, frames}, times) do
-    frames = Enum.sort_by(frames, & &1.from)
-    {first, last} = {hd(frames).from, List.last(frames).from}
-    within = times |> Enum.filter(&(&1 >= first and &1 <= last)) |> Enum.sort()
-    interpolate_frames(within, frames, [])
+  defp boxes_on_images(layer, _boxes, times) do
+    for {_track, boxes} <- BoxTracks.boxes_on_images(layer, BoxTracks.image_times(layer, times)),
+        {_image, box, _key?} <- boxes,
+        do: %{box | to: box.from}
   end
-
-  defp interpolate_frames([], _frames, done), do: Enum.reverse(done)
-
-  defp interpolate_frames([time | _] = times, [_, %{from: next} = after_it | rest], done)
-       when next <= time,
-       do: interpolate_frames(times, [after_it | rest], done)
-
-  defp interpolate_frames([time | times], [frame | rest] = frames, done),
-    do: interpolate_frames(times, frames, [box_at(frame, List.first(rest), time) | done])
-
-  defp box_at(%{from: time} = frame, _next, time), do: frame
-  defp box_at(frame, nil, time), do: %{frame | from: time, to: time}
-
-  defp box_at(frame, next, time) do
-    part = (time - frame.from) / (next.from - frame.from)
-
-    numbers =
-      for name <- @box_keys, into: %{} do
-        {before, behind} = {frame.values[name], next.values[name]}
-        {name, before + part * (behind - before)}
-      end
-
-    %{frame | from: time, to: time, values: Map.merge(frame.values, numbers)}
-  end
-
-  # A box that does not move.
-  defp still_boxes(a, nil), do: [%{a | to: a.from}]
-
-  defp still_boxes(a, times),
-    do: for(time <- times, time >= a.from and time <= a.to, do: %{a | from: time, to: time})
 
   defp describe_losses(others, lasting, times) do
     [

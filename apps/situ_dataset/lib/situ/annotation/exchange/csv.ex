@@ -92,7 +92,11 @@ defmodule Situ.Annotation.Exchange.Csv do
   defp parse_annotation(row, opts) do
     with {:ok, from} <- parse_time(row["from"], row["from_s"], opts),
          {:ok, to} <- parse_time(row["to"], row["to_s"], opts),
-         {:ok, values} <- parse_values(Map.drop(row, @own), opts[:schema]),
+         {:ok, values} <-
+           row
+           |> Map.drop(@own)
+           |> take_cells(row["track"], opts[:schema])
+           |> parse_values(opts[:schema]),
          annotation = %Annotation{
            from: from,
            to: to,
@@ -136,6 +140,14 @@ defmodule Situ.Annotation.Exchange.Csv do
     case Float.parse(text) do
       {x, ""} -> x
       _ -> text
+    end
+  end
+
+  # An annotation of a tier has a value in the column of its attribute only.
+  defp take_cells(cells, track, schema) do
+    case schema && track && Schema.find_tier(schema, track) do
+      nil -> cells
+      tier -> Map.take(cells, [tier.attribute, column_name(tier.attribute)])
     end
   end
 

@@ -37,13 +37,11 @@ defmodule Situ.Annotation.Exchange.Cues do
   defp cue_text(values, %{attributes: [attribute]}),
     do: LabelRows.value_to_text(values[attribute.name])
 
-  defp cue_text(values, schema),
-    do:
-      Enum.map_join(
-        schema.attributes,
-        "\n",
-        &"#{&1.name}: #{LabelRows.value_to_text(values[&1.name])}"
-      )
+  defp cue_text(values, schema) do
+    schema.attributes
+    |> Enum.filter(&is_map_key(values, &1.name))
+    |> Enum.map_join("\n", &"#{&1.name}: #{LabelRows.value_to_text(values[&1.name])}")
+  end
 
   @doc "Formats a time as `HH:MM:SS`, then `mark` and the milliseconds."
   @spec format_time(non_neg_integer(), String.t()) :: String.t()

@@ -1,24 +1,29 @@
 defmodule Situ.Annotation.Exchange.Elan do
   @moduledoc false
-  # Reads and writes ELAN's annotation files (`.eaf`, format 3.0), with a tier for each track, or
-  # for each track and attribute.
+  # Reads and writes ELAN's annotation files (`.eaf`, format 3.0): tiers with their parents, linguistic types and
+  # controlled vocabularies. A track without a tier in the schema is a tier, or one for each attribute.
   #
-  # Times are milliseconds from `origin:`. The header stores the schema and the origin as
-  # properties (`situ.schema`, `situ.origin`). Finite attributes are also written as controlled
-  # vocabularies, so that ELAN offers their values. Annotations that refer to others
-  # (`REF_ANNOTATION`) get the times of the annotation that they refer to.
+  # Times are milliseconds from `origin:`. The header stores the schema and the origin as properties (`situ.schema`,
+  # `situ.origin`). If the file was changed in ELAN, the schema is extended by its new tiers and values.
   @behaviour Situ.Annotation.Exchange
+  alias Situ.Annotation.Exchange.Elan.{TierReader, TierWriter}
   alias Situ.Annotation.Exchange.LabelRows
+  alias Situ.Annotation.{Attribute, Layer, Schema, Tier}
   alias Situ.Xml
-  alias Situ.Annotation.{Layer, Schema}
 
-  @ms 1_000_000
+  @descriptions %{
+    included_in:
+      "Time alignable annotations within the parent annotation's time interval, gaps are allowed",
+    time_subdivision:
+      "Time subdivision of parent annotation's time interval, no time gaps allowed within this interval",
+    symbolic_subdivision:
+      "Symbolic subdivision of a parent annotation. Annotations refering to the same parent are ordered",
+    symbolic_association: "1-1 association with a parent annotation"
+  }
 
   @impl true
   def encode(layer, opts) do
-    rows = LabelRows.layer_rows(layer)
-    slots = slot_times(rows, opts[:origin])
-    ids = slots |> Map.keys() |> Enum.sort() |> Enum.with_index(1) |> Map.new()
+    {slots, tiers} = TierWriter.encode_tiers(layer, opts[:origin])
 
     text = [
       ~s(<?xml version="1.0" encoding="UTF-8"?>\n),
@@ -26,11 +31,11 @@ defmodule Situ.Annotation.Exchange.Elan do
       ~s(xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" ),
       ~s(xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">\n),
       encode_header(layer.schema, opts),
-      ["    <TIME_ORDER>\n", encode_time_slots(ids), "    </TIME_ORDER>\n"],
-      rows
-      |> Enum.zip(annotation_offsets(rows))
-      |> Enum.map(&encode_tier(&1, layer.schema, ids, opts[:origin])),
+      ["    <TIME_ORDER>\n", slots, "    </TIME_ORDER>\n"],
+      tiers,
       encode_types(layer.schema),
+      encode_language(layer.schema),
+      encode_constraints(layer.schema),
       encode_vocabularies(layer.schema),
       "</ANNOTATION_DOCUMENT>\n"
     ]
@@ -41,22 +46,6 @@ defmodule Situ.Annotation.Exchange.Elan do
        [:fine, :confidence, :note, :proposed?],
        "ELAN"
      )}
-  end
-
-  defp slot_times(rows, origin) do
-    for {_, _, labels} <- rows,
-        {a, _} <- labels,
-        time <- [a.from, a.to],
-        into: %{},
-        do: {ns_to_ms(time - origin), true}
-  end
-
-  # All times are rounded in the same way, so that annotations that touch keep touching.
-  defp ns_to_ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
-
-  defp encode_time_slots(ids) do
-    for {ms, id} <- Enum.sort(ids),
-        do: ~s(        <TIME_SLOT TIME_SLOT_ID="ts#{id}" TIME_VALUE="#{ms}"/>\n)
   end
 
   defp encode_header(schema, opts) do
@@ -81,96 +70,144 @@ defmodule Situ.Annotation.Exchange.Elan do
   defp mime_type(path),
     do: if(Path.extname(path) in [".wav", ".WAV"], do: "audio/x-wav", else: "video/mp4")
 
-  defp annotation_offsets(rows) do
-    rows
-    |> Enum.map(fn {_, _, labels} -> length(labels) end)
-    |> Enum.scan(&+/2)
-    |> then(&[0 | &1])
-  end
-
-  defp encode_tier({{track, name, labels}, offset}, schema, ids, origin) do
-    attribute =
-      Enum.find(schema.attributes, hd(schema.attributes), &(name == "#{track}.#{&1.name}"))
-
-    [
-      ~s(    <TIER LINGUISTIC_TYPE_REF="#{Xml.escape(attribute.name)}" TIER_ID="#{Xml.escape(name)}"),
-      encode_annotator(labels) <> ">\n",
-      labels
-      |> Enum.with_index(offset + 1)
-      |> Enum.map(&encode_annotation(&1, ids, origin)),
-      "    </TIER>\n"
-    ]
-  end
-
-  # ELAN stores one annotator per tier.
-  defp encode_annotator(labels) do
-    case labels |> Enum.map(fn {a, _} -> a.by end) |> Enum.uniq() do
-      [by] when is_binary(by) -> ~s( ANNOTATOR="#{Xml.escape(by)}")
-      _ -> ""
-    end
-  end
-
-  defp encode_annotation({{a, text}, n}, ids, origin) do
-    [from, to] = for time <- [a.from, a.to], do: Map.fetch!(ids, ns_to_ms(time - origin))
-
-    """
-            <ANNOTATION>
-                <ALIGNABLE_ANNOTATION ANNOTATION_ID="a#{n}" TIME_SLOT_REF1="ts#{from}" TIME_SLOT_REF2="ts#{to}">
-                    <ANNOTATION_VALUE>#{Xml.escape(text)}</ANNOTATION_VALUE>
-                </ALIGNABLE_ANNOTATION>
-            </ANNOTATION>
-    """
-  end
-
+  # An attribute has a type for each relation of its tiers to their parents.
   defp encode_types(schema) do
-    for attribute <- schema.attributes do
-      name = Xml.escape(attribute.name)
+    relations = for tier <- schema.tiers, uniq: true, do: {tier.attribute, tier.relation}
 
-      vocabulary =
-        if attribute.kind == :finite, do: ~s( CONTROLLED_VOCABULARY_REF="#{name}"), else: ""
+    types =
+      for attribute <- schema.attributes do
+        own = for {name, relation} <- relations, name == attribute.name, do: relation
+        for relation <- Enum.uniq([nil | own]), do: {attribute, relation}
+      end
 
-      ~s(    <LINGUISTIC_TYPE#{vocabulary} GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="#{name}"
-      TIME_ALIGNABLE="true"/>\n)
+    types
+    |> Enum.concat()
+    |> Enum.reject(fn {attribute, relation} ->
+      relation == nil and dependent?(schema, attribute)
+    end)
+    |> Enum.map(&encode_type(&1, schema))
+  end
+
+  # Tiers of this attribute always have a parent, and its name is the name of their type.
+  defp dependent?(schema, attribute) do
+    case for tier <- schema.tiers, tier.attribute == attribute.name, uniq: true, do: tier.relation do
+      [relation] -> relation != nil
+      _ -> false
     end
+  end
+
+  defp encode_type({attribute, relation}, schema) do
+    name = Xml.escape(TierWriter.type_name(schema, attribute.name, relation))
+    aligned? = relation not in [:symbolic_subdivision, :symbolic_association]
+
+    constraint =
+      if relation, do: ~s( CONSTRAINTS="#{TierWriter.relation_words()[relation]}"), else: ""
+
+    vocabulary =
+      if attribute.kind == :finite,
+        do: ~s( CONTROLLED_VOCABULARY_REF="#{Xml.escape(attribute.name)}"),
+        else: ""
+
+    ~s(    <LINGUISTIC_TYPE#{constraint}#{vocabulary} GRAPHIC_REFERENCES="false" ) <>
+      ~s(LINGUISTIC_TYPE_ID="#{name}" TIME_ALIGNABLE="#{aligned?}"/>\n)
+  end
+
+  defp encode_constraints(%{tiers: []}), do: []
+
+  defp encode_constraints(_schema) do
+    for {relation, word} <- Enum.sort(TierWriter.relation_words()),
+        do:
+          ~s(    <CONSTRAINT DESCRIPTION="#{Xml.escape(@descriptions[relation])}" STEREOTYPE="#{word}"/>\n)
+  end
+
+  defp encode_language(schema) do
+    if Enum.any?(schema.attributes, &(&1.kind == :finite)),
+      do:
+        ~s(    <LANGUAGE LANG_DEF="http://cdb.iso.org/lg/CDB-00130975-001" LANG_ID="und" LANG_LABEL="undetermined"/>\n),
+      else: []
   end
 
   defp encode_vocabularies(schema) do
-    if Enum.any?(schema.attributes, &(&1.kind == :finite)) do
+    for {%{kind: :finite} = attribute, i} <- Enum.with_index(schema.attributes, 1) do
       [
-        ~s(    <LANGUAGE LANG_DEF="http://cdb.iso.org/lg/CDB-00130975-001" LANG_ID="und" LANG_LABEL="undetermined"/>\n),
-        for %{kind: :finite} = attribute <- schema.attributes do
-          name = Xml.escape(attribute.name)
-
-          [
-            ~s(    <CONTROLLED_VOCABULARY CV_ID="#{name}">\n        <DESCRIPTION LANG_REF="und"/>\n),
-            for {choice, n} <- Enum.with_index(attribute.values, 1) do
-              value = ~s(<CVE_VALUE LANG_REF="und">#{Xml.escape(choice.value)}</CVE_VALUE>)
-              ~s(        <CV_ENTRY_ML CVE_ID="#{name}_#{n}">#{value}</CV_ENTRY_ML>\n)
-            end,
-            "    </CONTROLLED_VOCABULARY>\n"
-          ]
-        end
+        ~s(    <CONTROLLED_VOCABULARY CV_ID="#{Xml.escape(attribute.name)}">\n),
+        ~s(        <DESCRIPTION LANG_REF="und">#{Xml.escape(attribute.description)}</DESCRIPTION>\n),
+        for({choice, n} <- Enum.with_index(attribute.values, 1), do: encode_entry(choice, i, n)),
+        "    </CONTROLLED_VOCABULARY>\n"
       ]
-    else
-      []
     end
+  end
+
+  defp encode_entry(choice, i, n) do
+    description =
+      if choice[:description], do: ~s( DESCRIPTION="#{Xml.escape(choice.description)}"), else: ""
+
+    value = ~s(<CVE_VALUE#{description} LANG_REF="und">#{Xml.escape(choice.value)}</CVE_VALUE>)
+
+    ~s(        <CV_ENTRY_ML CVE_ID="cveid_#{i}_#{n}">#{value}</CV_ENTRY_ML>\n)
   end
 
   @impl true
   def decode(text, opts) do
     with {:ok, {"ANNOTATION_DOCUMENT", _, _} = document} <- Xml.parse(text) do
       properties = header_properties(document)
-      schema = opts[:schema] || parse_schema(properties["situ.schema"])
+      schema = opts[:schema] || find_schema(document, properties, opts)
       origin = opts[:origin] || parse_integer(properties["situ.origin"]) || 0
-      slots = parse_time_slots(document)
-      {rows, missing} = document |> Xml.list_children("TIER") |> parse_rows(slots, origin)
+      read = TierReader.read_rows(document)
+
+      rows =
+        for {name, labels} <- read.rows,
+            do: {name, for({from, to, text} <- labels, do: {from + origin, to + origin, text})}
+
       {annotations, losses} = LabelRows.rows_to_annotations(rows, schema)
       annotations = put_annotators(annotations, document, schema)
-      {:ok, schema, annotations, losses ++ describe_untimed(missing)}
+      {:ok, schema, annotations, losses ++ TierReader.describe_losses(document, read)}
     else
       {:ok, {name, _, _}} -> {:error, "its root is #{inspect(name)}, not ANNOTATION_DOCUMENT"}
       {:error, why} -> {:error, why}
     end
+  end
+
+  defp find_schema(document, properties, opts) do
+    found = TierReader.read_schema(document, opts[:name] || "Annotation")
+
+    case parse_schema(properties["situ.schema"]) do
+      nil -> found
+      schema -> extend_schema(schema, found, TierReader.read_vocabularies(document))
+    end
+  end
+
+  # Adds the values and dependent tiers that were created in ELAN.
+  defp extend_schema(schema, found, vocabularies) do
+    attributes =
+      for attribute <- schema.attributes do
+        json = Attribute.to_json(attribute)
+        known = Enum.map(attribute.values, & &1.value)
+        new = for v <- vocabularies[attribute.name] || [], v["value"] not in known, do: v
+        if new == [], do: json, else: Map.update!(json, "values", &(&1 ++ new))
+      end
+
+    tiers = new_tiers(schema, found)
+    names = Enum.map(schema.attributes, & &1.name)
+    needed = for tier <- tiers, tier.attribute not in names, do: tier.attribute
+    more = for a <- (found && found.attributes) || [], a.name in needed, do: Attribute.to_json(a)
+
+    json = Schema.to_json(schema)
+    all_tiers = (json["tiers"] || []) ++ Enum.map(tiers, &Tier.to_json/1)
+    json = Map.merge(json, %{"attributes" => attributes ++ more, "tiers" => all_tiers})
+
+    case Schema.parse(json) do
+      {:ok, extended} -> extended
+      {:error, _} -> schema
+    end
+  end
+
+  defp new_tiers(_schema, nil), do: []
+
+  defp new_tiers(schema, found) do
+    unknown = for tier <- found.tiers, Schema.find_tier(schema, tier.name) == nil, do: tier
+    parents = for tier <- unknown, tier.parent, do: tier.parent
+    for tier <- unknown, tier.parent != nil or tier.name in parents, do: tier
   end
 
   defp header_properties(document) do
@@ -199,75 +236,12 @@ defmodule Situ.Annotation.Exchange.Elan do
     end
   end
 
-  defp parse_time_slots(document) do
-    for order <- Xml.list_children(document, "TIME_ORDER"),
-        {_, %{"TIME_SLOT_ID" => id, "TIME_VALUE" => value}, _} <-
-          Xml.list_children(order, "TIME_SLOT"),
-        ms = parse_integer(value),
-        into: %{},
-        do: {id, ms * @ms}
-  end
-
-  # An annotation that refers to another one has its times; the other one may itself refer to a third.
-  defp parse_rows(tiers, slots, origin) do
-    rows = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, parse_annotations(tier)}
-
-    parents = for {_, all} <- rows, {id, parent, _, _} <- all, parent, into: %{}, do: {id, parent}
-
-    aligned = for {_, all} <- rows, {id, nil, refs, _} <- all, into: %{}, do: {id, refs}
-
-    Enum.map_reduce(rows, 0, fn {name, all}, missing ->
-      labels =
-        for {id, _, _, text} <- all,
-            {from, to} <- [aligned[root_annotation(id, parents, 0)]],
-            is_map_key(slots, from) and is_map_key(slots, to),
-            do: {slots[from] + origin, slots[to] + origin, text}
-
-      {{name, labels}, missing + length(all) - length(labels)}
-    end)
-  end
-
-  # The limit stops the search in a cycle of references.
-  defp root_annotation(id, parents, depth) do
-    case parents do
-      %{^id => parent} when depth < 100 -> root_annotation(parent, parents, depth + 1)
-      _ -> id
-    end
-  end
-
-  defp parse_annotations(tier) do
-    for annotation <- Xml.list_children(tier, "ANNOTATION"),
-        {_, _, inner} = annotation,
-        {kind, attributes, _} = a <- inner do
-      text = a |> Xml.list_children("ANNOTATION_VALUE") |> Enum.map_join(&Xml.text_content/1)
-
-      if kind == "REF_ANNOTATION",
-        do: {attributes["ANNOTATION_ID"], attributes["ANNOTATION_REF"], nil, text},
-        else:
-          {attributes["ANNOTATION_ID"], nil,
-           {attributes["TIME_SLOT_REF1"], attributes["TIME_SLOT_REF2"]}, text}
-    end
-  end
-
-  defp describe_untimed(0), do: []
-  defp describe_untimed(n), do: ["#{n} annotations have no times and are left out"]
-
   defp put_annotators(annotations, document, schema) do
-    by =
-      for {_, %{"TIER_ID" => name, "ANNOTATOR" => by}, _} <- Xml.list_children(document, "TIER"),
-          by != "",
-          into: %{},
-          do: {name, by}
+    by = TierReader.read_annotators(document)
+    attributes = (schema && schema.attributes) || []
 
     for a <- annotations do
-      names = [
-        a.track
-        | for(
-            attribute <- (schema && schema.attributes) || [],
-            do: "#{a.track}.#{attribute.name}"
-          )
-      ]
-
+      names = [a.track | Enum.map(attributes, &"#{a.track}.#{&1.name}")]
       %{a | by: Enum.find_value(names, &by[&1])}
     end
   end

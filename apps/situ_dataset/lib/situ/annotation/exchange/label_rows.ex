@@ -13,11 +13,14 @@ defmodule Situ.Annotation.Exchange.LabelRows do
   def layer_rows(layer) do
     attributes = layer.schema.attributes
 
-    for track <- Layer.track_names(layer), attribute <- attributes do
+    for track <- Layer.track_names(layer),
+        tier <- [Schema.find_tier(layer.schema, track)],
+        attribute <- attributes,
+        tier == nil or tier.attribute == attribute.name do
       labels =
         for a <- Layer.on_track(layer, track), do: {a, value_to_text(a.values[attribute.name])}
 
-      {track, row_name(track, attribute.name, attributes), labels}
+      {track, if(tier, do: track, else: row_name(track, attribute.name, attributes)), labels}
     end
   end
 
@@ -38,7 +41,7 @@ defmodule Situ.Annotation.Exchange.LabelRows do
   def rows_to_annotations(rows, schema) do
     labelled =
       for {name, labels} <- rows,
-          {track, attribute} = split_row_name(name, schema),
+          {track, attribute} = find_attribute(name, schema),
           l <- labels,
           do: {track, attribute, l}
 
@@ -59,6 +62,13 @@ defmodule Situ.Annotation.Exchange.LabelRows do
         else: []
 
     {Enum.sort_by(annotations, &{&1.from, &1.to, &1.track}), losses}
+  end
+
+  defp find_attribute(name, schema) do
+    case schema && Schema.find_tier(schema, name) do
+      nil -> split_row_name(name, schema)
+      tier -> {name, tier.attribute}
+    end
   end
 
   # The row's name ends with the attribute name; a row without one belongs to the track's first attribute.

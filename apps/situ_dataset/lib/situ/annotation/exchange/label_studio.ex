@@ -60,6 +60,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
       track
       | for(
           attribute <- schema.attributes,
+          is_map_key(a.values, attribute.name),
           do: encode_result(attribute, a.values[attribute.name], span, base)
         )
     ]

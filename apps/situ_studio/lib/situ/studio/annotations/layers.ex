@@ -79,19 +79,26 @@ defmodule Situ.Studio.Annotations.Layers do
     OpenSession.open(session)
   end
 
+  @doc "Stores a new layer under a free name of an item, and returns the name."
+  @spec create_layer(map(), String.t(), Layer.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def create_layer(%{studio: studio, item: item}, base, layer) do
+    name = NameRules.make_unique(base, list_names(item))
+    store = Home.find_store(item.layers, name)
+
+    with :ok <- SessionLayers.write_layer(store, name, layer),
+         :ok <- link_store(studio, item, store),
+         do: {:ok, name}
+  end
+
   @doc "Copies a layer of an item's recordings into a layer that can be edited, and returns the new layer's name."
   @spec copy_foreign(Catalog.id(), Catalog.Item.t(), {String.t(), String.t()}) ::
           {:ok, String.t()} | {:error, Error.t()}
   def copy_foreign(studio, item, {partition, stream}) do
-    name = NameRules.make_unique(stream, list_names(item))
-    store = Home.find_store(item.layers, name)
     address = "[#{partition}]:#{stream}"
 
     with {:ok, {_, recording, _}} <-
            item |> open_recordings() |> OpenSession.fetch_stream(address),
          {:ok, layer} <- Recording.load_layer(recording, stream),
-         :ok <- SessionLayers.write_layer(store, name, layer),
-         :ok <- link_store(studio, item, store),
-         do: {:ok, name}
+         do: create_layer(%{studio: studio, item: item}, stream, layer)
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Annotations.Request do
   @moduledoc false
   # Applies the edits that a page requests to a layer. The input is untrusted.
   alias Situ.{Annotation, Error}
-  alias Situ.Annotation.{Edit, Layer}
+  alias Situ.Annotation.{Edit, Layer, Shift}
   alias Situ.Studio.Int64
 
   @doc "Applies the edit `name` with its parameters to the layer."
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Annotations.Request do
          {:ok, track} <- parse_name(track) do
       values = parse_values(params["values"])
       by = parse_author(params["by"])
-      Layer.add(layer, Annotation.new(min(from, to), max(from, to), track, values, by: by))
+      Edit.annotate(layer, Annotation.new(min(from, to), max(from, to), track, values, by: by))
     end
   end
 
@@ -58,6 +58,30 @@ defmodule Situ.Studio.Annotations.Request do
          {:ok, to} <- parse_time(to),
          do: Edit.move_edge(layer, id, edge, to, alone: params["alone"] == true)
   end
+
+  def apply_change("ripple", layer, %{"id" => id, "edge" => edge, "to" => to})
+      when edge in ["from", "to"] do
+    edge = if edge == "from", do: :from, else: :to
+
+    with {:ok, id} <- parse_id(id),
+         {:ok, to} <- parse_time(to),
+         do: Shift.ripple_edge(layer, id, edge, to)
+  end
+
+  def apply_change("shift", layer, %{"id" => id, "by" => by}) do
+    with {:ok, id} <- parse_id(id),
+         {:ok, by} <- parse_time(by),
+         do: Shift.shift_annotations(layer, [id], by)
+  end
+
+  def apply_change("shift_after", layer, %{"at" => at, "by" => by}) do
+    with {:ok, at} <- parse_time(at),
+         {:ok, by} <- parse_time(by),
+         do: Shift.shift_after(layer, at, by)
+  end
+
+  def apply_change("close_gap", layer, %{"id" => id}),
+    do: with({:ok, id} <- parse_id(id), do: Shift.close_gap(layer, id))
 
   def apply_change("remove", layer, %{"id" => id}),
     do: with({:ok, id} <- parse_id(id), do: Layer.remove(layer, id))

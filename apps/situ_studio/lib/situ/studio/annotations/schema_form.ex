@@ -28,7 +28,7 @@ defmodule Situ.Studio.Annotations.SchemaForm do
       iex> draft = SchemaForm.from_schema(schema)
       iex> draft = SchemaForm.update_from_params(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
       ...>   "values" => %{"0" => %{"value" => "talks", "key" => "t", "fill" => "#ff0000"}}}})
-      iex> {:ok, schema, renamed} = SchemaForm.build_schema("S", draft)
+      iex> {:ok, schema, renamed} = SchemaForm.build_schema(schema, draft)
       iex> {hd(schema.attributes).values, renamed}
       {[%{fill: "#ff0000", key: "t", text: nil, value: "talks"}], [{"Speech", "Voice", %{"speaks" => "talks"}}]}
   """
@@ -108,12 +108,20 @@ defmodule Situ.Studio.Annotations.SchemaForm do
       else: draft
   end
 
-  @doc "Builds the schema from a draft and lists the renames. Attributes and values without a name are left out."
-  @spec build_schema(String.t(), [attribute()]) ::
+  @doc """
+  Builds the schema from a draft and lists the renames. Attributes and values without a name are left out. The tiers of
+  the old schema follow the renames.
+  """
+  @spec build_schema(Schema.t(), [attribute()]) ::
           {:ok, Schema.t(), renamed()} | {:error, Error.t()}
-  def build_schema(name, draft) do
+  def build_schema(%Schema{} = old, draft) do
     draft = Enum.reject(draft, &(String.trim(&1.name) == ""))
-    json = %{"name" => name, "attributes" => Enum.map(draft, &attribute_to_json/1)}
+
+    json =
+      Map.merge(Schema.to_json(old), %{
+        "attributes" => Enum.map(draft, &attribute_to_json/1),
+        "tiers" => rename_tiers(old, draft)
+      })
 
     with {:ok, schema} <- Schema.parse(json) do
       renamed =
@@ -124,6 +132,13 @@ defmodule Situ.Studio.Annotations.SchemaForm do
 
       {:ok, schema, renamed}
     end
+  end
+
+  defp rename_tiers(old, draft) do
+    names = Map.new(draft, &{&1.was, String.trim(&1.name)})
+
+    for tier <- Schema.to_json(old)["tiers"] || [],
+        do: Map.update!(tier, "attribute", &Map.get(names, &1, &1))
   end
 
   defp attribute_to_json(%{kind: "finite"} = a) do

@@ -8,7 +8,16 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   alias Situ.Annotation.{Editor, Layer, Schema}
   alias Situ.Live.Socket
   alias Situ.Studio.Annotations
-  alias Situ.Studio.Annotations.{AgreementTable, Layers, Proposals, SchemaForm, Schemas}
+
+  alias Situ.Studio.Annotations.{
+    AgreementTable,
+    Layers,
+    MergedView,
+    Proposals,
+    SchemaForm,
+    Schemas
+  }
+
   alias Situ.Studio.Web.{HistoryDialog, LayerWatch}
 
   @doc "Returns whether the item can have annotation layers and the studio may write them."
@@ -95,8 +104,8 @@ defmodule Situ.Studio.Web.AnnotationPanel do
          %{assigns: %{dialog: {:schema, draft, _}}} = socket
        ) do
     with %{editor: editor} <- socket.assigns.annotation,
-         name = Editor.current_layer(editor).schema.name,
-         {:ok, schema, _} <- SchemaForm.build_schema(name, draft),
+         %{name: name} = old <- Editor.current_layer(editor).schema,
+         {:ok, schema, _} <- SchemaForm.build_schema(old, draft),
          :ok <- Schemas.save_schema(socket.assigns.layout_dir, schema) do
       show_toast(socket, "Saved as #{name} for other recordings")
     else
@@ -156,6 +165,28 @@ defmodule Situ.Studio.Web.AnnotationPanel do
       rows = Enum.map(rows, &Tuple.to_list/1)
       push_event(socket, "agreement", %{first: mine.stream, second: other, rows: rows})
     else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  defp apply_event("annotation_merged", _, %{assigns: %{annotation: %{} = mine}} = socket) do
+    case socket.assigns |> MergedView.list_layers(mine) |> MergedView.page_state() do
+      {:ok, state} -> push_event(socket, "annotation_merged", state)
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  # The consensus is a layer of its own: what the annotators agree on, and proposals for a review.
+  defp apply_event("annotation_consensus", _, %{assigns: %{annotation: %{} = mine}} = socket) do
+    with [_, _ | _] = layers <- MergedView.list_layers(socket.assigns, mine),
+         {:ok, layer} <- MergedView.build_consensus(layers),
+         {:ok, name} <-
+           Layers.create_layer(socket.assigns, layer.schema.name <> ".consensus", layer) do
+      socket
+      |> open_layer(name, nil)
+      |> show_toast("Created #{name}; q reviews the disagreements")
+    else
+      [_] -> show_toast(socket, "There is no other layer with the same attributes")
       {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end

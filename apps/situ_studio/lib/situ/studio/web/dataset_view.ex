@@ -7,7 +7,7 @@ defmodule Situ.Studio.Web.DatasetView do
   alias Situ.Studio.{BatchRuns, Catalog, Datasets, Experiments, Export, StreamTotals}
   alias Situ.Studio.BatchRuns.ResumableRuns
   alias Situ.Studio.Datasets.Summary
-  alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Components}
+  alias Situ.Studio.Web.Dataset.{BatchDialog, Components, Dialogs, Edits, SessionSearch}
   alias Situ.Studio.Web.{HistoryDialog, PageFrame, Paths}
 
   @refresh_ms 2_000
@@ -128,7 +128,13 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_event("select", params, socket),
     do: {:noreply, assign(socket, selected: Edits.parse_path(params))}
 
-  def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
+  def handle_event("dialog_close", _, socket) do
+    SessionSearch.close_dialog(socket.assigns.dialog)
+    {:noreply, assign(socket, dialog: nil)}
+  end
+
+  def handle_event("find_" <> _ = event, params, %{assigns: %{server: _}} = socket),
+    do: {:noreply, SessionSearch.handle_event(event, params, socket)}
 
   # All events below modify the dataset or its recordings.
   def handle_event(_, _, %{assigns: %{read_only: true}} = socket),
@@ -188,6 +194,9 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_info({:exported, {:error, error}}, socket),
     do: {:noreply, show_toast(socket, Exception.message(error))}
 
+  def handle_info({:session_found, run, session, result}, socket),
+    do: {:noreply, SessionSearch.put_result(socket, run, {session, result})}
+
   def handle_info({:facts, known}, socket),
     do: {:noreply, assign(socket, facts: Map.merge(socket.assigns.facts, Map.new(known)))}
 
@@ -225,7 +234,8 @@ defmodule Situ.Studio.Web.DatasetView do
           {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
       <HistoryDialog.history_dialog :if={match?({:history, _, _}, @dialog)} entries={elem(@dialog, 1)}
           restore={elem(@dialog, 2)} />
-      <Dialogs.dataset_dialog :if={@dialog != nil and not match?({:history, _, _}, @dialog)} dialog={@dialog} />
+      <SessionSearch.dialog :if={match?({:search, _}, @dialog)} search={elem(@dialog, 1)} id={@id} />
+      <Dialogs.dataset_dialog :if={@dialog != nil and elem(@dialog, 0) not in [:history, :search]} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>
     """

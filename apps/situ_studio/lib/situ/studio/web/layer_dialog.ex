@@ -7,7 +7,7 @@ defmodule Situ.Studio.Web.LayerDialog do
   alias Situ.Annotation.Layer
   alias Situ.Live.Socket
   alias Situ.Studio.{Annotations, Catalog}
-  alias Situ.Studio.Annotations.{Layers, Schemas}
+  alias Situ.Studio.Annotations.{Layers, Schemas, TierText}
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.Web.{AnnotationPanel, SourceList}
 
@@ -135,6 +135,7 @@ defmodule Situ.Studio.Web.LayerDialog do
   defp resolve_schema(params, name, values, _), do: build_schema(params["kind"], name, values)
 
   defp build_schema("box", name, _), do: {:ok, Annotations.build_spatial_schema(name, :box)}
+  defp build_schema("tiers", name, text), do: TierText.parse_schema(name, text)
   defp build_schema("point", name, _), do: {:ok, Annotations.build_spatial_schema(name, :point)}
   defp build_schema(_, name, values), do: Annotations.parse_schema(name, values)
 
@@ -186,6 +187,7 @@ defmodule Situ.Studio.Web.LayerDialog do
           <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
         <div class="inline">
           <select name="kind" aria-label="Kind of annotation"><option value="values">Segments in time</option><option
+              value="tiers">Tiers, one per line: Words in Speech</option><option
               value="box">Boxes on images</option><option value="point">Points on images</option></select>
           <input name="by" placeholder="annotator (optional)" maxlength="40" autocomplete="off"
               aria-label="Annotator">

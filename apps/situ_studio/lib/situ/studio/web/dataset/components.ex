@@ -31,6 +31,8 @@ defmodule Situ.Studio.Web.Dataset.Components do
       <button :if={not @kept and not @read_only} class="btn" type="button" phx-click="ask" phx-value-what="copy"
           phx-value-path="[]"
           title="This file format is read-only; save a copy to keep your changes">Save a copy…</button>
+      <button class="btn" type="button" phx-click="find_open"
+          title="Find the times in all sessions when an expression is true">Find times…</button>
       <button :if={@kept and not @read_only} class="btn" type="button" phx-click="history_dialog"
           title="Show who changed the dataset, undo, and restore earlier versions">History…</button>
       <.tool_button act="theme" icon={:theme} title="Switch between dark and light (t)" />

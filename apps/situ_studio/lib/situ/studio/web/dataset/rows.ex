@@ -24,8 +24,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   @spec visible_rows(Dataset.t(), %{Path.t() => Summary.t()}, MapSet.t([String.t()]), String.t()) ::
           [row()]
   def visible_rows(%Dataset{} = dataset, facts, open, query) do
-    words = query |> String.downcase() |> String.split()
-    sessions = Enum.filter(dataset.sessions, &matches?(&1, facts, words))
+    sessions = matching_sessions(dataset, facts, query)
     known = for s <- dataset.sessions, do: for(p <- s.partitions, f = facts[p.path], do: f)
     sums = Enum.map(known, &Summary.sum_figures/1)
     figures = known |> Enum.concat() |> Summary.sum_figures() |> StreamTotals.add_lengths(sums)
@@ -34,6 +33,14 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       build_row([], :dataset, dataset.name, figures: figures, tags: dataset.tags)
       | Enum.flat_map(sessions, &session_rows(&1, facts, open))
     ]
+  end
+
+  @doc "Returns the sessions that match the search of the tree."
+  @spec matching_sessions(Dataset.t(), %{Path.t() => Summary.t()}, String.t()) ::
+          [Dataset.Session.t()]
+  def matching_sessions(%Dataset{} = dataset, facts, query) do
+    words = query |> String.downcase() |> String.split()
+    Enum.filter(dataset.sessions, &matches?(&1, facts, words))
   end
 
   defp build_row(path, kind, label, more) do
