@@ -96,21 +96,21 @@ defmodule Situ.Subscription do
   defp attach_tap(%{target: {pipeline, stream}} = state) do
     me = self()
 
-    case attach({resolve_pipeline(pipeline), stream}, &send(me, {:message, &1})) do
+    case attach_to({resolve_pipeline(pipeline), stream}, &send(me, {:message, &1})) do
       {:ok, tap} ->
         Process.monitor(tap.pipeline)
         %{state | tap: tap, told: nil}
 
       {:error, error} ->
         retry_later(pipeline)
-        report(state, error)
+        report_event(state, error)
     end
   end
 
-  defp attach({nil, _stream}, _fun), do: {:error, not_running_error()}
+  defp attach_to({nil, _stream}, _fun), do: {:error, not_running_error()}
 
   # The pipeline may end at any time.
-  defp attach({pipeline, stream}, fun) do
+  defp attach_to({pipeline, stream}, fun) do
     Tap.attach({pipeline, stream}, fun, name: "Subscription: " <> stream)
   catch
     :exit, _ -> {:error, not_running_error()}
@@ -131,9 +131,9 @@ defmodule Situ.Subscription do
   defp retry_later(_name), do: Process.send_after(self(), :attach, @retry_ms)
 
   # An error that is found again at each attempt is reported once.
-  defp report(%{told: code} = state, %Error{code: code}), do: state
+  defp report_event(%{told: code} = state, %Error{code: code}), do: state
 
-  defp report(state, event) do
+  defp report_event(state, event) do
     state.deliver.(event)
     %{state | told: if(event == :ended, do: :not_running, else: event.code)}
   end
@@ -150,7 +150,7 @@ defmodule Situ.Subscription do
 
   def handle_info({:DOWN, _, :process, _, _}, %{target: {pipeline, _}} = state) do
     retry_later(pipeline)
-    {:noreply, report(%{state | tap: nil}, :ended)}
+    {:noreply, report_event(%{state | tap: nil}, :ended)}
   end
 
   def handle_info({:EXIT, owner, _reason}, %{owner: owner} = state), do: {:stop, :normal, state}

@@ -73,7 +73,7 @@ defmodule Situ.Telemetry do
     end
   end
 
-  @doc "Calls every handler of `event`, and those of the `:telemetry` library if it is loaded."
+  @doc "Calls every handler of `event`, and the handlers of the `:telemetry` library if it is loaded."
   @spec execute(event(), map(), map()) :: :ok
   def execute(event, measurements, metadata) do
     for {_, id, handler, config} = row <- :ets.lookup(@table, event) do

@@ -38,7 +38,7 @@ defmodule Situ.Broadway do
   with it. Nothing is acknowledged without `Situ.GenStage.acknowledge/3`. The failure of a producer is an error of the
   source: `on_error: :restart` starts new producers.
 
-  Options, in addition to those of `Situ.GenStage.from/3`:
+  Options, in addition to the options of `Situ.GenStage.from/3`:
 
   #{Situ.Options.docs(@schema)}
   """
@@ -62,7 +62,7 @@ defmodule Situ.Broadway do
       {:ok, flow} = Situ.Broadway.flow(pipeline, "Words", stages: 4)
       flow |> Flow.partition(key: & &1.data) |> Flow.reduce(fn -> %{} end, &count/2) |> Enum.to_list()
 
-  The options are those of `Flow.from_stages/2`.
+  The options are passed to `Flow.from_stages/2`.
   """
   @spec flow(Situ.Pipeline.target(), String.t(), keyword()) ::
           {:ok, Flow.t()} | {:error, Situ.Error.t()}
@@ -73,7 +73,7 @@ defmodule Situ.Broadway do
 
   @doc """
   Sends the events of a Flow to a source of a running pipeline, which `Situ.GenStage.from(p, [], name: name)` has made.
-  Returns the process of the Flow, which is linked to the caller. Options: those of the subscription, such as
+  Returns the process of the Flow, which is linked to the caller. Options: options of the subscription, such as
   `max_demand:`.
   """
   @spec connect_flow(Flow.t(), Situ.Pipeline.target(), String.t(), keyword()) ::

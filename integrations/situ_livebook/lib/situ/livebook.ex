@@ -46,7 +46,7 @@ defmodule Situ.Livebook do
 
   @doc """
   Shows buttons that start and stop a pipeline, with its live graph and the streams that `show:` names. The pipeline
-  stops when its cell is evaluated again. `spec` and the other options are those of `Situ.Pipeline.start/2`.
+  stops when its cell is evaluated again. `spec` and the other options are passed to `Situ.Pipeline.start/2`.
 
       Situ.Livebook.run(&Situ.sequence(&1, 1, fn n -> n + 1 end, every: Situ.Time.ms(100), name: "Count"),
         show: ["Count"]

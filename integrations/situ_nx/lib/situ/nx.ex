@@ -65,7 +65,7 @@ defmodule Situ.Nx do
 
   A batch contains the messages that are waiting, so a slow stream is not delayed.
 
-  Options, in addition to those of `Situ.Graph.Placement`:
+  Options, in addition to the options of `Situ.Graph.Placement`:
 
   #{Situ.Options.docs(@schema)}
   """

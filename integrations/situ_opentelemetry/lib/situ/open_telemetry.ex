@@ -38,12 +38,12 @@ defmodule Situ.OpenTelemetry do
   |---|---|---|---|
   | `pipeline NAME` | start | end | `situ.pipeline`, `situ.errors` |
   | `component PATH`, a child | start of the pipeline | its end | `situ.component`, `situ.messages.in`, `situ.messages.out`, `situ.messages.dropped`, `situ.errors`, `situ.restarts`, `situ.busy_ms` |
-  | `message STREAM`, a trace of its own | originating time | arrival at the last component | `situ.pipeline`, `situ.stream`, a link to the pipeline |
+  | `message STREAM`, a separate trace | originating time | arrival at the last component | `situ.pipeline`, `situ.stream`, a link to the pipeline |
   | `FROM to TO`, a child of the message | the component FROM began to handle it | the component TO took the result | `situ.queue` |
 
   Errors of components are events of the component's span, with the exception. A pipeline or component that failed has
   the status `error`. OpenTelemetry exports a span when it ends, so pipelines that run for days appear late; metrics and
-  messages appear at once.
+  messages appear immediately.
 
   A message is traced when it arrives at the named stream, at most one every `every:` ms. The times come from
   `Situ.trace/2`, so they are accurate to one millisecond.

@@ -1,6 +1,6 @@
 defmodule Situ.Phoenix do
   @moduledoc """
-  Situ in a Phoenix application: the studio behind the application's own login (`Situ.Phoenix.Router`), live panels in
+  Situ in a Phoenix application: the studio with the application's own login (`Situ.Phoenix.Router`), live panels in
   its pages (`Situ.Phoenix.Components`), and the messages of a running pipeline in a LiveView:
 
       def mount(_params, _session, socket) do

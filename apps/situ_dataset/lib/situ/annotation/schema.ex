@@ -26,7 +26,7 @@ defmodule Situ.Annotation.Schema do
   |---|---|
   | `:included_in` | are inside an annotation of the parent; gaps are allowed |
   | `:time_subdivision` | divide an annotation of the parent, without gaps |
-  | `:symbolic_subdivision` | divide it into equal parts; they have an order, but no times of their own |
+  | `:symbolic_subdivision` | divide it into equal parts; they have an order, but no separate times |
   | `:symbolic_association` | one for each annotation of the parent, with its times |
 
   A tier `Words` describes the track `Words`, and also a track for each person, such as `Words@Ada`, whose parent then

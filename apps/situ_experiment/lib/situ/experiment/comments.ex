@@ -1,6 +1,6 @@
 defmodule Situ.Experiment.Comments do
   @moduledoc false
-  # What people have written about the sets of a run: who, when, and the text. The file `comments.json` in the
+  # The comments on the sets of a run: who, when, and the text. The file `comments.json` in the
   # experiment's folder has a log of edits, as every other document that people change.
   # See docs/adr/0180-the-studio-shows-the-files-of-experiments.md.
   alias Situ.EditLog.{Document, JsonFormat}

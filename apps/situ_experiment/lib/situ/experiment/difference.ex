@@ -20,7 +20,7 @@ defmodule Situ.Experiment.Difference do
 
   @doc """
   Writes the next version of the recording `path`, and returns its folder. `metrics` are the metrics of a run
-  (`Situ.Metric.StoredMetric`); those that compare no streams are left out. Error: `:no_compared_streams`.
+  (`Situ.Metric.StoredMetric`); metrics that compare no streams are left out. Error: `:no_compared_streams`.
   """
   @spec write_recording(Path.t(), OpenSession.t(), outputs(), {[map()], title :: String.t()}) ::
           {:ok, Path.t()} | {:error, Error.t()}

@@ -14,7 +14,7 @@ defmodule Situ.Experiment.DifferenceFiles do
   Returns the recording of the differences of a set from the baseline in a session, after writing it if necessary.
   Without a baseline, or if both have the same output, the set is compared with the truth. Returns also the name under
   which `fetch_recording/2` finds it. With `read_only: true`, nothing is written. Errors: `:no_output`, `:read_only`,
-  and those of `Difference.write_recording/4`.
+  and the errors of `Difference.write_recording/4`.
   """
   @spec ensure_recording(Session.t(), set(), set() | nil, read_only: boolean()) ::
           {:ok, %{path: Path.t(), name: String.t()}} | {:error, Error.t()}

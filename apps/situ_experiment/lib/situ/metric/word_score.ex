@@ -42,7 +42,7 @@ defmodule Situ.Metric.WordScore do
 
   @doc """
   Returns the least cost of substitutions, deletions and insertions that turn one list into the other. A deletion or an
-  insertion costs 1, and `substitution` returns the cost of two items; 2 or more means that they are no counterparts.
+  insertion costs 1, and `substitution` returns the cost of two items; 2 or more means that they are not counterparts.
 
       iex> Situ.Metric.WordScore.edit_distance(~w(the cat sat), ~w(a cat))
       2

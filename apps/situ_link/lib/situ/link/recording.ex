@@ -30,7 +30,7 @@ defmodule Situ.Link.Recording do
          do: {:ok, %{state | version: info[:version]}}
   end
 
-  # The addresses of a server that does not answer are not known.
+  # The addresses of a server that does not respond are unknown.
   @impl true
   def list_recordings(text) do
     with {:error, _} <- Link.list_recordings(text), do: [], else: ({:ok, addresses} -> addresses)

@@ -4,8 +4,8 @@ defmodule Situ.Live.Adapter do
   one for Plug, so that the same pages are served by an application's own endpoint, on Bandit or Cowboy.
 
   An adapter converts each request to a `Situ.Live.Request` and calls `serve_request/4`, which checks, limits and
-  handles the request in the same way for all adapters and calls back to read the body and to answer. A server that is
-  started with `port: :none` opens no port of its own and receives all its requests in this way:
+  handles the request in the same way for all adapters and calls back to read the body and to respond. A server that is
+  started with `port: :none` opens no port and receives all its requests in this way:
 
       {:ok, server} = Situ.Live.start_link(port: :none, prefix: "/pages", routes: routes)
       config = Situ.Live.Adapter.fetch_config!(server)
@@ -65,7 +65,7 @@ defmodule Situ.Live.Adapter do
           config()
   def allow(config, access), do: struct!(config, access)
 
-  @doc "Checks and handles one request, and answers it through the callbacks of `adapter`."
+  @doc "Checks and handles one request, and responds through the callbacks of `adapter`."
   @spec serve_request(module(), connection(), config(), Request.t()) :: result()
   def serve_request(adapter, connection, config, request) do
     case body_length(request) do

@@ -1,7 +1,7 @@
 defmodule Situ.Live.SocketConnection do
   @moduledoc """
   A WebSocket as a value: an adapter (`Situ.Live.Adapter`) holds it in the process of the connection, passes frames and
-  messages to it, and does what the results say. It calls the `Situ.Live.SocketHandler` of the route. An exception in a
+  messages to it, and carries out the results. It calls the `Situ.Live.SocketHandler` of the route. An exception in a
   handler is logged and closes the connection.
   """
   require Logger

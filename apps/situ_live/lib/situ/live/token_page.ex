@@ -8,7 +8,7 @@ defmodule Situ.Live.TokenPage do
 
   @doc """
   Builds the response to a request without a valid token. Browsers get a form, and other programs one line of text.
-  `wrong?` tells that the request had a token.
+  With `wrong?`, the request had an invalid token.
   """
   @spec build_response(Request.t(), wrong? :: boolean()) :: Response.t()
   def build_response(request, wrong?) do
@@ -21,7 +21,7 @@ defmodule Situ.Live.TokenPage do
   defp build_body(request, wrong?) do
     if request.method == "GET" and accepts_html?(request) do
       request
-      |> render(wrong?)
+      |> render_page(wrong?)
       |> Response.html(401)
       |> Response.put_header("content-security-policy", @csp)
     else
@@ -34,7 +34,7 @@ defmodule Situ.Live.TokenPage do
   end
 
   # The form opens the same address with the token.
-  defp render(request, wrong?) do
+  defp render_page(request, wrong?) do
     """
     <!doctype html>
     <html lang="en">

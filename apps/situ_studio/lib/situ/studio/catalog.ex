@@ -91,7 +91,7 @@ defmodule Situ.Studio.Catalog do
 
   @doc """
   Adds recordings on another machine to the list until the studio ends: the recordings of a server
-  (`situ://lab1`), or one of them (`situ://lab1/lobby`). Returns their ids. The errors are those of the link.
+  (`situ://lab1`), or a single recording (`situ://lab1/lobby`). Returns their ids. The errors are errors of the link.
   """
   @spec connect(id(), String.t(), token :: String.t()) ::
           {:ok, [String.t()]} | {:error, Error.t()}

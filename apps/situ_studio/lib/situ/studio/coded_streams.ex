@@ -33,7 +33,7 @@ defmodule Situ.Studio.CodedStreams do
   defp find_origin(%{module: Recordings.Store, state: state}, info, offset),
     do: {:ok, {state.recording, info, offset}}
 
-  # Recordings around a comparison pass on what it adds to the information, but do not shift the times again.
+  # Recordings around a comparison pass on its additions to the information, but do not shift the times again.
   defp find_origin(
          %{module: Recordings.Comparison},
          %{extra: %{origin: {recording, info}, offset: shift}},

@@ -161,12 +161,12 @@ defmodule Situ.Studio.Experiments do
 
       ranked ->
         {session, _, _} =
-          Enum.max_by(ranked, fn {_, value, before} -> distance(value, before) end)
+          Enum.max_by(ranked, fn {_, value, before} -> time_distance(value, before) end)
 
         session
     end
   end
 
-  defp distance(a, b) when is_number(a) and is_number(b), do: abs(a - b)
-  defp distance(_, _), do: 0
+  defp time_distance(a, b) when is_number(a) and is_number(b), do: abs(a - b)
+  defp time_distance(_, _), do: 0
 end

@@ -62,17 +62,18 @@ defmodule Situ.Studio.Preview do
       :image -> render_image(value)
       :audio -> render_audio(value)
       :cloud -> render_cloud(value)
-      _ -> ["<pre>", escape(describe(value)), "</pre>"]
+      _ -> ["<pre>", escape_text(describe_value(value)), "</pre>"]
     end
   end
 
-  defp describe(value) when is_binary(value) do
+  defp describe_value(value) when is_binary(value) do
     if String.valid?(value),
       do: String.slice(value, 0, @max_text),
       else: inspect(value, limit: 64)
   end
 
-  defp describe(value), do: inspect(value, pretty: true, limit: 50, printable_limit: @max_text)
+  defp describe_value(value),
+    do: inspect(value, pretty: true, limit: 50, printable_limit: @max_text)
 
   @doc "Encodes an image for a browser, with its media type. Depth is coloured from near to far."
   @spec encode_image(Image.t() | EncodedImage.t() | DepthImage.t()) ::
@@ -100,7 +101,7 @@ defmodule Situ.Studio.Preview do
         [~s(<img alt="" style="max-width:100%" src="data:), type, ";base64,", data, ~s(">)]
 
       {:error, error} ->
-        ["<pre>", escape(error.what), "</pre>"]
+        ["<pre>", escape_text(error.what), "</pre>"]
     end
   end
 
@@ -112,7 +113,7 @@ defmodule Situ.Studio.Preview do
     [
       ~s(<div>),
       plot([{"", low ++ Enum.reverse(high)}], height: 80),
-      escape(inspect(audio)),
+      escape_text(inspect(audio)),
       "</div>"
     ]
   end
@@ -122,15 +123,15 @@ defmodule Situ.Studio.Preview do
     step = max(div(PointCloud.point_count(cloud), @max_points), 1)
     points = cloud |> PointCloud.to_points() |> Enum.take_every(step)
     flat = for {x, y, z} <- points, do: {0.87 * (x - y), -z + 0.5 * (x + y), z}
-    {left, right} = range(for {x, _, _} <- flat, do: x)
-    {top, bottom} = range(for {_, y, _} <- flat, do: y)
-    {low, high} = range(for {_, _, z} <- flat, do: z)
+    {left, right} = value_range(for {x, _, _} <- flat, do: x)
+    {top, bottom} = value_range(for {_, y, _} <- flat, do: y)
+    {low, high} = value_range(for {_, _, z} <- flat, do: z)
     scale = max(right - left, bottom - top)
 
     dots =
       for {x, y, z} <- flat do
         hue = round(240 - 200 * (z - low) / max(high - low, 1.0e-9))
-        at = "#{tenths(300 * (x - left) / scale)} #{tenths(300 * (y - top) / scale)}"
+        at = "#{round_tenths(300 * (x - left) / scale)} #{round_tenths(300 * (y - top) / scale)}"
         ~s(<path stroke="hsl\(#{hue} 70% 50%\)" d="M#{at}h1"/>)
       end
 
@@ -147,16 +148,17 @@ defmodule Situ.Studio.Preview do
 
     series =
       for {name, points} <- series,
-          do: {name, for({t, v} <- points, drawable?(v), do: {t, v})}
+          do: {name, for({t, v} <- points, drawable_value?(v), do: {t, v})}
 
     points = Enum.flat_map(series, &elem(&1, 1))
-    {from, to} = range(for {t, _} <- points, do: t)
-    {low, high} = range(for {_, v} <- points, do: v / 1)
+    {from, to} = value_range(for {t, _} <- points, do: t)
+    {low, high} = value_range(for {_, v} <- points, do: v / 1)
 
     place = fn {t, v} ->
       # Quarters avoid an overflow in the difference of very large floats.
       y = (v / 4 - low / 4) / (high / 4 - low / 4)
-      "#{tenths((width - 60) * (t - from) / (to - from))} #{tenths(14 + (height - 20) * (1 - y))}"
+
+      "#{round_tenths((width - 60) * (t - from) / (to - from))} #{round_tenths(14 + (height - 20) * (1 - y))}"
     end
 
     [
@@ -170,8 +172,8 @@ defmodule Situ.Studio.Preview do
 
   defp axis_labels(width, height, {low, high}) do
     [
-      ~s(<text x="#{width - 56}" y="20">#{short(high)}</text>),
-      ~s(<text x="#{width - 56}" y="#{height - 4}">#{short(low)}</text>)
+      ~s(<text x="#{width - 56}" y="20">#{shorten_text(high)}</text>),
+      ~s(<text x="#{width - 56}" y="#{height - 4}">#{shorten_text(low)}</text>)
     ]
   end
 
@@ -181,13 +183,13 @@ defmodule Situ.Studio.Preview do
     color = Enum.at(@colors, rem(i, length(@colors)))
     path = points |> Enum.map(place) |> Enum.intersperse("L")
     [{_, latest} | _] = Enum.reverse(points)
-    label = if name == "", do: short(latest), else: "#{name} #{short(latest)}"
+    label = if name == "", do: shorten_text(latest), else: "#{name} #{shorten_text(latest)}"
 
     [
       ~s(<path fill="none" stroke="#{color}" stroke-width="1.5" d="M),
       path,
       ~s("/><text x="#{4 + 120 * i}" y="10" fill="#{color}">),
-      [escape(label) | "</text>"]
+      [escape_text(label) | "</text>"]
     ]
   end
 
@@ -211,19 +213,22 @@ defmodule Situ.Studio.Preview do
          ~s(style="max-width:100%" font-family="sans-serif" font-size="11" fill="currentColor">),
          rows,
          ~s(<text x="180" y="#{height - 6}">0 s</text><text x="#{width}" y="#{height - 6}" text-anchor="end">),
-         [short((extent.to - extent.from) / 1.0e9), " s</text></svg>"]
+         [shorten_text((extent.to - extent.from) / 1.0e9), " s</text></svg>"]
        ]}
     end
   end
 
   defp timeline_row(recording, stream, extent, {i, width}) do
     y = 26 * i
-    x = fn t -> tenths(180 + (width - 180) * (t - extent.from) / (extent.to - extent.from)) end
+
+    x = fn t ->
+      round_tenths(180 + (width - 180) * (t - extent.from) / (extent.to - extent.from))
+    end
 
     [
       ~s(<text x="0" y="#{y + 15}">),
       [
-        escape(String.slice(stream.name, 0, 28)),
+        escape_text(String.slice(stream.name, 0, 28)),
         ~s(</text><path fill="none" stroke="#{hd(@colors)}" d=")
       ],
       row_path(recording, stream, extent, {x, y}),
@@ -239,12 +244,16 @@ defmodule Situ.Studio.Preview do
       {:ok, [_ | _] = points, _} ->
         points =
           for {t, low, high, _, _} <- points,
-              drawable?(low),
-              drawable?(high),
+              drawable_value?(low),
+              drawable_value?(high),
               do: {t, low / 1, high / 1}
 
-        {low, high} = range(Enum.flat_map(points, &[elem(&1, 1), elem(&1, 2)]))
-        place = fn v -> tenths(y + 3 + 20 * (1 - (v / 4 - low / 4) / (high / 4 - low / 4))) end
+        {low, high} = value_range(Enum.flat_map(points, &[elem(&1, 1), elem(&1, 2)]))
+
+        place = fn v ->
+          round_tenths(y + 3 + 20 * (1 - (v / 4 - low / 4) / (high / 4 - low / 4)))
+        end
+
         strokes = for {t, low, high} <- points, do: "#{x.(t)} #{place.(high)}V#{place.(low)}"
         if strokes == [], do: "", else: ["M" | Enum.intersperse(strokes, "L")]
 
@@ -261,12 +270,12 @@ defmodule Situ.Studio.Preview do
   end
 
   # A difference of larger numbers is not a float.
-  defp drawable?(value), do: is_number(value) and abs(value) < 1.0e300
+  defp drawable_value?(value), do: is_number(value) and abs(value) < 1.0e300
 
   # A range that is never empty.
-  defp range([]), do: {0.0, 1.0}
+  defp value_range([]), do: {0.0, 1.0}
 
-  defp range(values) do
+  defp value_range(values) do
     case {Enum.min(values), Enum.max(values)} do
       {same, same} when is_integer(same) -> {same - 1, same + 1}
       # A float keeps about 15 digits, so a fixed step would not change a large one.
@@ -275,11 +284,14 @@ defmodule Situ.Studio.Preview do
     end
   end
 
-  defp short(value) when is_integer(value), do: Integer.to_string(value)
-  defp short(value) when abs(value) > 1.0e15, do: :erlang.float_to_binary(value / 1, [:short])
-  defp short(value), do: :erlang.float_to_binary(value / 1, [:compact, decimals: 3])
+  defp shorten_text(value) when is_integer(value), do: Integer.to_string(value)
 
-  defp tenths(x), do: Float.round(x / 1, 1)
+  defp shorten_text(value) when abs(value) > 1.0e15,
+    do: :erlang.float_to_binary(value / 1, [:short])
 
-  defp escape(text), do: text |> Html.escape() |> Html.to_iodata()
+  defp shorten_text(value), do: :erlang.float_to_binary(value / 1, [:compact, decimals: 3])
+
+  defp round_tenths(x), do: Float.round(x / 1, 1)
+
+  defp escape_text(text), do: text |> Html.escape() |> Html.to_iodata()
 end

@@ -8,7 +8,7 @@ defmodule Situ.Studio.RemoteItems do
   @typedoc "Items by their ids, each with the options of its reader."
   @type t :: %{String.t() => {Item.t(), keyword()}}
 
-  @doc "Finds the items of a server, or of one of its recordings."
+  @doc "Finds the items of a server, or of a single recording."
   @spec find_items(String.t(), token :: String.t()) :: {:ok, t()} | {:error, Error.t()}
   def find_items(address, token) do
     opts = if token == "", do: [], else: [token: token]

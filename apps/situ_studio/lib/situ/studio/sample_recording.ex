@@ -4,7 +4,7 @@ defmodule Situ.Studio.SampleRecording do
   # in the `env` of its `application/0`: `env: [sample_recordings: [MyApp.Sample]]`.
   alias Situ.Error
 
-  @doc "Describes what the recording contains, in one sentence."
+  @doc "Describes the contents of the recording, in one sentence."
   @callback describe() :: String.t()
 
   @doc "Makes the recording in a folder and calls `report` with the progress, 0.0 to 1.0. Returns the recording's path."

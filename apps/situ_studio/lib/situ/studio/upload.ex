@@ -49,20 +49,24 @@ defmodule Situ.Studio.Upload do
     end
   end
 
-  defp check_files(_name, []), do: {:error, invalid("the folder is empty", "choose a recording")}
+  defp check_files(_name, []),
+    do: {:error, invalid_upload("the folder is empty", "choose a recording")}
 
   defp check_files(_name, files) when length(files) > @most_files,
     do:
       {:error,
-       invalid(
+       invalid_upload(
          "the folder has more than #{@most_files} files",
          "copy it into the studio's folder"
        )}
 
   defp check_files(name, files) do
     case Enum.find(files, &(not valid_file?(name, &1))) do
-      nil -> :ok
-      {path, _} -> {:error, invalid("#{inspect(path)} is not a valid path", "rename the file")}
+      nil ->
+        :ok
+
+      {path, _} ->
+        {:error, invalid_upload("#{inspect(path)} is not a valid path", "rename the file")}
     end
   end
 
@@ -98,12 +102,13 @@ defmodule Situ.Studio.Upload do
       else: :ok
   end
 
-  defp invalid(what, fix), do: Error.new(:bad_upload, what, fix: fix)
+  defp invalid_upload(what, fix), do: Error.new(:bad_upload, what, fix: fix)
 
   @doc "Writes the next bytes. Errors: `:bad_upload` for more bytes than announced, and errors of the file system."
   @spec write(t(), binary()) :: {:ok, t()} | {:error, Error.t()}
   def write(%__MODULE__{device: nil}, _bytes),
-    do: {:error, invalid("the page sent more bytes than it announced", "add the file again")}
+    do:
+      {:error, invalid_upload("the page sent more bytes than it announced", "add the file again")}
 
   def write(%__MODULE__{missing: missing} = upload, bytes) when byte_size(bytes) > missing do
     <<head::binary-size(missing), rest::binary>> = bytes
@@ -153,7 +158,7 @@ defmodule Situ.Studio.Upload do
   def complete?(upload), do: upload.device == nil and upload.remaining == []
 
   @doc """
-  Moves a complete upload to its name, and returns the name. Errors: those of opening the recording, and `:exists` if
+  Moves a complete upload to its name, and returns the name. Errors: errors of opening the recording, and `:exists` if
   somebody else used the name in the meantime.
   """
   @spec finish(t()) :: {:ok, String.t()} | {:error, Error.t()}

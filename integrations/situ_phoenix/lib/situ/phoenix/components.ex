@@ -19,7 +19,7 @@ defmodule Situ.Phoenix.Components do
 
   @doc """
   Shows a stream of a running pipeline in a LiveView: numbers as a plot of the last seconds, images as a picture, all
-  other values as `Situ.Studio.Preview` draws them. It needs no script of its own. A pipeline that restarts is
+  other values as `Situ.Studio.Preview` draws them. It needs no script. A pipeline that restarts is
   followed if it is given by its name.
   """
   def situ_panel(%{stream: {_pipeline, name}} = assigns) do

@@ -1,7 +1,7 @@
 defmodule Situ.Phoenix.Panel do
   @moduledoc false
   # The live component of `Situ.Phoenix.Components.situ_panel/1`. Its subscription sends events as updates, because a
-  # live component has no messages of its own.
+  # live component has no mailbox.
   use Phoenix.LiveComponent
   alias Situ.{Message, Subscription}
   alias Situ.Studio.Preview

@@ -14,7 +14,7 @@ defmodule Situ.Phoenix.Router do
   """
 
   @doc """
-  Serves a studio under `path`, behind the pipelines of the scope. It starts at the first request.
+  Serves a studio under `path`, after the pipelines of the scope. It starts at the first request.
 
   Options:
 

@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.CodecName do
   @moduledoc false
-  # Translates FFmpeg's description of a codec to that of WebCodecs: its name (RFC 6381), and the setup data that a
-  # decoder needs beside the packets. The setup data is that of MP4 files: an avcC, hvcC, vpcC or av1C record.
+  # Translates FFmpeg's description of a codec to the form of WebCodecs: its name (RFC 6381), and the setup data that a
+  # decoder needs in addition to the packets. The setup data is that of MP4 files: an avcC, hvcC, vpcC or av1C record.
   import Bitwise
 
   @doc """
@@ -26,12 +26,12 @@ defmodule Situ.Media.Recording.CodecName do
   @spec translate(String.t(), binary(), String.t(), String.t()) ::
           {:ok, String.t(), binary()} | :error
   def translate("h264", <<1, profile::binary-size(3), _::binary>> = setup, _profile, _pixels),
-    do: {:ok, "avc1." <> hex(profile), setup}
+    do: {:ok, "avc1." <> encode_hex(profile), setup}
 
   # Without a record, the parameters are in the packets (Annex B).
   def translate("h264", setup, _profile, _pixels) do
     case Regex.run(~r/\x00\x00\x01[\x07\x27\x47\x67](...)/s, setup) do
-      [_, profile] -> {:ok, "avc1." <> hex(profile), ""}
+      [_, profile] -> {:ok, "avc1." <> encode_hex(profile), ""}
       nil -> :error
     end
   end
@@ -74,7 +74,7 @@ defmodule Situ.Media.Recording.CodecName do
   def translate("png", _setup, _profile, _pixels), do: {:ok, "png", ""}
   def translate(_codec, _setup, _profile, _pixels), do: :error
 
-  defp hex(bytes), do: Base.encode16(bytes, case: :lower)
+  defp encode_hex(bytes), do: Base.encode16(bytes, case: :lower)
   defp two_digits(n), do: n |> Integer.to_string() |> String.pad_leading(2, "0")
 
   defp reverse_bits(n), do: for(i <- 0..31, reduce: 0, do: (all -> all <<< 1 ||| (n >>> i &&& 1)))

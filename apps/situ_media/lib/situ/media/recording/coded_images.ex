@@ -137,7 +137,7 @@ defmodule Situ.Media.Recording.CodedImages do
 
   defp mismatch_error(%{info: info}) do
     Error.new(:damaged_media, "the packets of #{info.name} are not where its index states",
-      why: "their checksums differ from those of the packets that FFmpeg reads",
+      why: "their checksums differ from the checksums of the packets that FFmpeg reads",
       fix: "copy the packets to a new file: ffmpeg -i #{info.name} -c copy repaired.mkv"
     )
   end

@@ -93,7 +93,7 @@ defmodule Situ.Media.Recording.Index do
     }
   end
 
-  # If two images have the same time, their packets cannot be told apart.
+  # If two images have the same time, their packets cannot be distinguished.
   defp pack_places(%{placed?: true, places: [_ | _] = places}, base, zero, count) do
     packed = PacketPlaces.pack(places, &image_time_or_nil(&1, base, zero))
     if PacketPlaces.shown_count(packed) == count, do: packed

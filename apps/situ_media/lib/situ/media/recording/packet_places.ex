@@ -8,7 +8,7 @@ defmodule Situ.Media.Recording.PacketPlaces do
 
   @bytes 25
   @hidden -1
-  # Containers such as Matroska put a few bytes of their own before the data of a packet.
+  # Containers such as Matroska put a few additional bytes before the data of a packet.
   @longest_lead 32
 
   @type row :: {time :: Situ.Time.t() | nil, key? :: boolean(), size :: pos_integer()}
@@ -54,7 +54,7 @@ defmodule Situ.Media.Recording.PacketPlaces do
   end
 
   @doc """
-  Reads packets from an open file and verifies them. Returns `:mismatch` if the bytes are not those that were listed.
+  Reads packets from an open file and verifies them. Returns `:mismatch` if the bytes differ from the listed ones.
   """
   @spec read(:file.io_device(), binary(), non_neg_integer(), non_neg_integer()) ::
           {:ok, [binary()]} | :mismatch
@@ -69,7 +69,8 @@ defmodule Situ.Media.Recording.PacketPlaces do
          {:ok, lead} <- find_lead(file, hd(rows)),
          spans = for({position, size, _} <- rows, do: {position + lead, size}),
          {:ok, parts} <- :file.pread(file, spans),
-         true <- rows |> Enum.zip(parts) |> Enum.all?(fn {row, part} -> intact?(part, row) end) do
+         true <-
+           rows |> Enum.zip(parts) |> Enum.all?(fn {row, part} -> packet_intact?(part, row) end) do
       {:ok, parts}
     else
       [] -> {:ok, []}
@@ -77,8 +78,8 @@ defmodule Situ.Media.Recording.PacketPlaces do
     end
   end
 
-  defp intact?(part, {_position, size, checksum}),
-    do: is_binary(part) and byte_size(part) == size and checksum(part) == checksum
+  defp packet_intact?(part, {_position, size, checksum}),
+    do: is_binary(part) and byte_size(part) == size and packet_checksum(part) == checksum
 
   defp find_lead(file, {position, size, checksum}) do
     with {:ok, bytes} <- :file.pread(file, position, size + @longest_lead),
@@ -93,7 +94,7 @@ defmodule Situ.Media.Recording.PacketPlaces do
   defp matches_at?(bytes, lead, size, checksum),
     do:
       byte_size(bytes) >= lead + size and
-        checksum(binary_part(bytes, lead, size)) == checksum
+        packet_checksum(binary_part(bytes, lead, size)) == checksum
 
-  defp checksum(bytes), do: :erlang.adler32(bytes)
+  defp packet_checksum(bytes), do: :erlang.adler32(bytes)
 end

@@ -18,13 +18,13 @@ defmodule Situ.Studio.Annotations.MergedView do
       for name <- Layers.list_names(item) -- [mine],
           {:ok, other} <- [Layers.open_editor(studio, item, name, nil)],
           layer = Editor.current_layer(other),
-          comparable?(own.schema, layer.schema),
+          comparable_layers?(own.schema, layer.schema),
           do: {name, layer}
 
     [{mine, own} | others]
   end
 
-  defp comparable?(%{attributes: [first | _]}, schema) do
+  defp comparable_layers?(%{attributes: [first | _]}, schema) do
     case Schema.find_attribute(schema, first.name) do
       nil -> false
       attribute -> attribute.kind == first.kind

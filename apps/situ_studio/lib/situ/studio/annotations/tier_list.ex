@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Annotations.TierList do
   @moduledoc false
-  # Lists the tiers of a layer for the page: those of its schema, for every person who has a track.
+  # Lists the tiers of a layer for the page: the tiers of its schema, for every person who has a track.
   alias Situ.Annotation.{Layer, Schema}
 
   @doc """

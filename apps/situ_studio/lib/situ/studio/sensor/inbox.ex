@@ -88,7 +88,7 @@ defmodule Situ.Studio.Sensor.Inbox do
 
   defp start_ending(inbox), do: inbox
 
-  @doc "Completes the outputs when the page has left and the pipeline has taken all that it had sent."
+  @doc "Completes the outputs when the page has left and the pipeline has taken all its data."
   @spec complete_outputs(t()) :: {[Situ.Component.action()], t()}
   def complete_outputs(%__MODULE__{ending: :page_left} = inbox) do
     if Enum.all?(inbox.waiting, fn {_output, queue} -> :queue.is_empty(queue) end) do

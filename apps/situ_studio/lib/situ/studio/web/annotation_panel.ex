@@ -176,7 +176,7 @@ defmodule Situ.Studio.Web.AnnotationPanel do
     end
   end
 
-  # The consensus is a layer of its own: what the annotators agree on, and proposals for a review.
+  # The consensus is a separate layer: the annotations on which the annotators agree, and proposals for a review.
   defp apply_event("annotation_consensus", _, %{assigns: %{annotation: %{} = mine}} = socket) do
     with [_, _ | _] = layers <- MergedView.list_layers(socket.assigns, mine),
          {:ok, layer} <- MergedView.build_consensus(layers),

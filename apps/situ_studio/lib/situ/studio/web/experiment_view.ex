@@ -103,7 +103,7 @@ defmodule Situ.Studio.Web.ExperimentView do
 
   def handle_event(_event, _params, socket), do: {:noreply, socket}
 
-  # Changes of what is shown are in the address.
+  # The address contains the state of the page.
   defp handle_shown(event, params, %{assigns: %{shown: shown, axes: axes}} = socket)
        when event in ["choose", "sort", "select", "brush", "clear"] do
     {:noreply, patch_address(socket, SetParams.apply_event(shown, {event, params}, axes))}

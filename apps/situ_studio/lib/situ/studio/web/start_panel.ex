@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.StartPanel do
   @moduledoc false
   # The four ways to a first recording, on the start page: add a file, make the sample, record with this browser's
-  # camera, connect to another machine. What may not be done here is not offered.
+  # camera, connect to another machine. Ways that are not allowed here are not offered.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -59,7 +59,7 @@ defmodule Situ.Studio.Web.StartPanel do
 
   def handle_event(_event, _params, socket), do: socket
 
-  # A task that fails answers, too, so that the page does not wait for ever.
+  # A task that fails sends its error, so that the page does not wait for ever.
   defp run_task(what, fun) do
     page = self()
 

@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.UploadHandler do
          {:ok, upload} <- Upload.start(state.folder, name, files) do
       report_progress(upload, state)
     else
-      {:error, %Error{} = error} -> refuse(error, state)
+      {:error, %Error{} = error} -> refuse_upload(error, state)
       _ -> {:stop, {:shutdown, :bad_request}, state}
     end
   end
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.UploadHandler do
   def handle_in({bytes, opcode: :binary}, %{upload: %Upload{} = upload} = state) do
     case Upload.write(upload, bytes) do
       {:ok, upload} -> report_progress(upload, state)
-      {:error, error} -> refuse(error, state)
+      {:error, error} -> refuse_upload(error, state)
     end
   end
 
@@ -58,10 +58,13 @@ defmodule Situ.Studio.Web.UploadHandler do
   defp report_progress(upload, state) do
     state = %{state | upload: upload}
     progress = text_frame(%{received: upload.received})
-    if Upload.complete?(upload), do: finish(state, progress), else: {:push, progress, state}
+
+    if Upload.complete?(upload),
+      do: finish_upload(state, progress),
+      else: {:push, progress, state}
   end
 
-  defp finish(%{upload: upload} = state, progress) do
+  defp finish_upload(%{upload: upload} = state, progress) do
     case Upload.finish(upload) do
       {:ok, name} ->
         Catalog.invalidate_recordings(state.studio)
@@ -69,11 +72,11 @@ defmodule Situ.Studio.Web.UploadHandler do
         {:push, [progress, done], %{state | upload: nil}}
 
       {:error, error} ->
-        refuse(error, state)
+        refuse_upload(error, state)
     end
   end
 
-  # A folder of several recordings has no page of its own.
+  # A folder of several recordings has no page.
   defp page_path(studio, name) do
     case Catalog.fetch_item(studio, name) do
       {:ok, item} -> Paths.item_path(item)
@@ -81,7 +84,7 @@ defmodule Situ.Studio.Web.UploadHandler do
     end
   end
 
-  defp refuse(error, state) do
+  defp refuse_upload(error, state) do
     if state.upload, do: Upload.discard(state.upload)
     {:push, text_frame(%{error: Exception.message(error)}), %{state | upload: nil}}
   end

@@ -72,14 +72,14 @@ defmodule Situ.Annotation.Exchange.Elan.TierWriter do
           name not in names,
           tier = Schema.find_tier(layer.schema, name),
           name == tier.name,
-          needed?(layer.schema, names, tier),
+          tier_needed?(layer.schema, names, tier),
           do: {%{name: name, track: name, tier: tier}, []}
 
-    Enum.sort_by(rows ++ empty, fn {row, _} -> {depth(layer.schema, row.tier), row.name} end)
+    Enum.sort_by(rows ++ empty, fn {row, _} -> {tier_depth(layer.schema, row.tier), row.name} end)
   end
 
   # A tier for all people has no track of its own if only the tracks of people are used.
-  defp needed?(schema, names, tier) do
+  defp tier_needed?(schema, names, tier) do
     used? = Enum.any?(names, &(Schema.find_tier(schema, &1) != nil))
     family = family_names(schema, Tier.root_track(schema.tiers, tier.name))
     not used? or Enum.any?(family, &(&1 in names)) or not shared_by_people?(names, tier)
@@ -93,9 +93,9 @@ defmodule Situ.Annotation.Exchange.Elan.TierWriter do
     [track | Enum.concat(children)]
   end
 
-  defp depth(_schema, nil), do: 0
-  defp depth(_schema, %{parent: nil}), do: 0
-  defp depth(schema, tier), do: 1 + depth(schema, Schema.find_tier(schema, tier.parent))
+  defp tier_depth(_schema, nil), do: 0
+  defp tier_depth(_schema, %{parent: nil}), do: 0
+  defp tier_depth(schema, tier), do: 1 + tier_depth(schema, Schema.find_tier(schema, tier.parent))
 
   defp number_annotations(rows) do
     {rows, _} =

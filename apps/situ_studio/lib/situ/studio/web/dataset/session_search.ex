@@ -151,7 +151,7 @@ defmodule Situ.Studio.Web.Dataset.SessionSearch do
         <section :for={{session, result} <- shown_results(@search.results)} :key={session}>
           <h4>{session} <small>{result_text(result)}</small></h4>
           <a :for={{from, to} <- hits(result)} class="hit"
-              href={hit_path(@id, session, {from, to})}><b>{clock(from)}</b>
+              href={hit_path(@id, session, {from, to})}><b>{format_clock(from)}</b>
             <span>{Time.format_duration(to - from)}</span></a>
         </section>
       </div>
@@ -186,7 +186,7 @@ defmodule Situ.Studio.Web.Dataset.SessionSearch do
     "#{length(intervals)}#{more}"
   end
 
-  defp clock(time), do: time |> Time.to_iso8601() |> String.slice(11, 12)
+  defp format_clock(time), do: time |> Time.to_iso8601() |> String.slice(11, 12)
 
   # The session opens with the time selected, in the middle of the view.
   defp hit_path(dataset, session, {from, to}) do

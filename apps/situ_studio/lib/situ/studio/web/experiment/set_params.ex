@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Experiment.SetParams do
   @moduledoc false
-  # What the page of experiments shows, as parameters of its address. Pure.
+  # The state of the page of experiments, as parameters of its address. Pure.
   alias Situ.Studio.Experiments.Axis
 
   @most_ranges 20
@@ -75,7 +75,7 @@ defmodule Situ.Studio.Web.Experiment.SetParams do
     |> Map.reject(fn {_, value} -> value in [nil, ""] end)
   end
 
-  @doc "Returns what the page shows after an event."
+  @doc "Returns the state of the page after an event."
   @spec apply_event(t(), {event :: String.t(), map()}, [Axis.t()]) :: t()
   # Another run has other sets.
   def apply_event(shown, {"choose", %{"run" => run}}, _axes)
