@@ -1,14 +1,14 @@
 // The annotation panel: one row for each track, on the same time axis as the other panels.
 
-import { GUTTER, FONT } from "../page/theme.js";
+import { GUTTER } from "../page/theme.js";
 import { showTip } from "../page/tip.js";
 import { showToast } from "../page/toast.js";
-import { rulerTicks } from "../time/clock.js";
-import { ROW, drawAnnotation, drawGrid } from "./draw.js";
+import { ROW } from "./draw.js";
 import { readAnnotator } from "./annotator.js";
 import { KeyState } from "./keys.js";
 import { dragEdge, edgeReach, describeAnnotation } from "./mouse.js";
-import { drawName, freeNumber, rowLabel, listRows } from "./rows.js";
+import { freeNumber, rowLabel, listRows } from "./rows.js";
+import { paintRows } from "./paint.js";
 import { handleKey } from "./commands.js";
 import { Merged } from "./merged.js";
 import { Review } from "./review.js";
@@ -258,44 +258,8 @@ export class AnnotationPanel {
       this.early = null;
       this.applyUpdate(early);
     }
-    const ctx = this.canvas.getContext("2d");
-    const w = this.el.clientWidth,
-      h = this.el.clientHeight;
-    const { view, cursor } = this.app.time.get();
-    const { toolsHeight: head } = this;
-    const inner = w - GUTTER.left - GUTTER.right;
-    const timeToX = (t) => GUTTER.left + ((t - view[0]) * inner) / (view[1] - view[0]);
-    ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-    ctx.clearRect(0, 0, w, h);
-    ctx.font = FONT;
-    ctx.textBaseline = "middle";
-    const rows = this.visibleRows();
-    if (this.shownTracks === "view") this.fitHeight();
-    rows.forEach((r, i) =>
-      drawName(ctx, this.rowName(r), head + i * ROW, { chosen: r.track === this.track && !r.layer, first: r.first }),
-    );
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(GUTTER.left, head - 2, inner, h);
-    ctx.clip();
-    drawGrid(ctx, rulerTicks(view, inner, this.app.client.origin).at.map(timeToX), head, h);
-    rows.forEach((row, i) => {
-      const { track, attribute } = row;
-      if (row.layer) return this.merged.drawRow(ctx, row, timeToX, head + i * ROW);
-      const look = { state: this.state, attribute, selected: this.selected, least: this.tools.minConfidence };
-      for (const a of this.state.items)
-        if (a.track === track) drawAnnotation(ctx, this.withDrag(a), timeToX, head + i * ROW, look);
-      if (track !== this.track) return;
-      const pending = [...this.keys.pendingAnnotations(cursor), ...this.segmentation.pendingAnnotations(cursor)];
-      for (const p of pending) drawAnnotation(ctx, { ...p, track, pending: true }, timeToX, head + i * ROW, look);
-    });
-    ctx.restore();
+    paintRows(this);
     this.drawn = (this.drawn ?? 0) + 1;
-  }
-
-  withDrag(a) {
-    const { drag } = this;
-    return drag && drag.id === a.id ? { ...a, [drag.edge]: drag.t } : a;
   }
 
   cursorMoved() {
