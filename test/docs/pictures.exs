@@ -59,7 +59,7 @@ AnnotationScene.create(folder)
 
 pipelines =
   for {name, build} <- Scenes.pipelines() do
-    {:ok, pipeline} = Situ.Pipeline.start(build, name: name)
+    {:ok, pipeline} = Situ.Pipeline.start(build, pipeline: [name: name])
     {name, pipeline}
   end
 

@@ -104,7 +104,7 @@ const PICTURES = {
   },
   metrics: async (page) => {
     const text = await (await page.request.get(`${main}metrics`)).text();
-    const lines = text.split("\n").filter((line) => /situ_(queue|latency|messages)/.test(line));
+    const lines = text.split("\n").filter((line) => /situ_(queue|latency)/.test(line) && !line.includes("Hall"));
     await showText(
       page,
       ["$ curl http://localhost:4040/metrics | grep 'situ_queue\\|situ_latency'", ...lines.slice(0, 26)].join("\n"),

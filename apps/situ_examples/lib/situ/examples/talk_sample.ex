@@ -19,6 +19,6 @@ defmodule Situ.Examples.TalkSample do
     end
 
     settings = [name: "Talk", replay: [speed: :max], progress_every: 200]
-    with {:ok, run} <- Pipeline.run(build, settings), do: {:ok, run.result.path}
+    with {:ok, run} <- Pipeline.run(build, pipeline: settings), do: {:ok, run.result.path}
   end
 end
