@@ -3,7 +3,7 @@
 const KEY = "situ:hints-seen";
 
 const HINTS = [
-  ["Move the mouse over a timeline", "every panel shows that time"],
+  ["Move the mouse over a timeline", "to see that time in every panel"],
   ["Turn the wheel, or drag", "to zoom and to pan"],
   ["Press Space", "to play, with audio if there is any"],
   ["Drag a stream from the list", "to a panel, or next to one"],
