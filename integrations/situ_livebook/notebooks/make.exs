@@ -75,7 +75,9 @@ for name <-
   ["# " <> title, text] =
     Path.join(root, "docs/guides/#{name}.md") |> File.read!() |> String.split("\n", parts: 2)
 
-  # Links lead to the other guides, which are not beside the notebook.
+  # A notebook makes its own pictures. Links lead to the other guides, which are not next to the notebook.
+  text = String.replace(text, ~r/^!\[.*\]\(.*\)\n\n/m, "")
+
   text =
     String.replace(
       text,
