@@ -34,12 +34,13 @@ defmodule Situ.Studio.Upload do
   @most_parts 8
 
   @doc """
-  Starts an upload into `folder`. Errors: `:bad_name`, `:unknown_format`, `:exists`, and errors of the file system.
+  Starts an upload into `folder`. Characters that a name may not have become "-". Errors: `:bad_name`,
+  `:unknown_format`, `:exists`, and errors of the file system.
   """
   @spec start(Path.t(), String.t(), [file()]) :: {:ok, t()} | {:error, Error.t()}
   def start(folder, name, files) do
-    with :ok <- Export.check_name(name),
-         :ok <- check_files(name, files),
+    with :ok <- check_files(name, files),
+         {:ok, name, files} <- clean_names(name, files),
          :ok <- check_format(name, files),
          :ok <- check_free(Path.join(folder, name)),
          {:ok, staging} <- TempFolder.create_folder("upload", folder) do
@@ -76,6 +77,20 @@ defmodule Situ.Studio.Upload do
     match?([^name | _], parts) and length(parts) <= @most_parts and size >= 0 and
       Enum.all?(parts, &(&1 not in ["", ".", ".."] and &1 =~ ~r/\A[^\x00-\x1f\\]{1,200}\z/u))
   end
+
+  # Names of downloads contain parentheses and other characters, as in "walk (1).csv".
+  defp clean_names(name, files) do
+    extension = name |> Path.extname() |> replace_characters()
+    stem = name |> Path.rootname() |> replace_characters() |> String.trim_leading("-")
+    clean = String.slice(stem, 0, 60 - String.length(extension)) <> extension
+
+    with :ok <- Export.check_name(clean) do
+      {:ok, clean,
+       for({path, size} <- files, do: {String.replace_prefix(path, name, clean), size})}
+    end
+  end
+
+  defp replace_characters(text), do: String.replace(text, ~r/[^\p{L}\p{N} ._-]+/u, "-")
 
   # A file must have a known extension. The files of a folder are checked when it is complete.
   defp check_format(name, [{name, _}]) do

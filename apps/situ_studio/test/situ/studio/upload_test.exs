@@ -64,6 +64,18 @@ defmodule Situ.Studio.UploadTest do
     assert {:error, %{code: :exists}} = Upload.start(folder, "Talk.0000", sizes(files))
   end
 
+  test "names of downloads are adapted", %{tmp_dir: tmp} do
+    for {name, clean} <- [
+          {"walk (1).csv", "walk -1-.csv"},
+          {"[é] Überblick #2.csv", "é- Überblick -2.csv"},
+          {String.duplicate("a", 100) <> ".csv", String.duplicate("a", 56) <> ".csv"}
+        ] do
+      {:ok, upload} = Upload.start(tmp, name, [{name, byte_size(@csv)}])
+      assert upload |> send_all(@csv, 9) |> Upload.finish() == {:ok, clean}
+      assert File.read!(Path.join(tmp, clean)) == @csv
+    end
+  end
+
   test "what is no recording is refused with a reason, and leaves nothing", %{tmp_dir: tmp} do
     assert {:error, %{code: :unknown_format, what: "the studio cannot open notes.txt"}} =
              Upload.start(tmp, "notes.txt", [{"notes.txt", 3}])
