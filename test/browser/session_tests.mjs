@@ -154,7 +154,7 @@ test("10 sessions: proposals of another partition are copied and reviewed with k
   };
   await until(page, playing, "the first proposal is played in a loop", 0);
   const progress = (text) =>
-    until(page, (t) => document.querySelector(".annotation-tools i").textContent === t, text, text);
+    until(page, (t) => document.querySelector(".annotation-tools i.progress").textContent === t, text, text);
   await page.keyboard.press("Enter");
   await until(page, playing, "the second proposal is played", 1);
   await page.keyboard.press("Delete");

@@ -11,6 +11,8 @@ defmodule Situ.Recording.CodedVideo do
     * `description`: the setup data of the decoder (such as an `avcC` record), or `""`
     * `width`, `height`: the size of the images in pixels, before `rotation`
     * `rotation`: by how many degrees (0, 90, 180 or 270) the images are turned clockwise to be shown
+    * `color`: the color matrix that the stream states (`"bt709"`), or nil. Programs assume different ones if it is
+      missing, so a decoder should then use BT.601, as FFmpeg does
     * `packets`: one record of 13 bytes for each packet, in the order in which a decoder needs them: the time of the
       image as a signed 64-bit number (ns since 1970, or `hidden/0` if the packet is only decoded and never shown), the
       size of the packet in bytes (32 bits), and 1 if a decoder can start here, else 0 (8 bits)
@@ -19,7 +21,7 @@ defmodule Situ.Recording.CodedVideo do
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:codec, :description, :width, :height, :packets]
-  defstruct [:codec, :description, :width, :height, :packets, rotation: 0]
+  defstruct [:codec, :description, :width, :height, :packets, :color, rotation: 0]
 
   @type t :: %__MODULE__{
           codec: String.t(),
@@ -27,6 +29,7 @@ defmodule Situ.Recording.CodedVideo do
           width: non_neg_integer(),
           height: non_neg_integer(),
           rotation: 0 | 90 | 180 | 270,
+          color: String.t() | nil,
           packets: binary()
         }
 

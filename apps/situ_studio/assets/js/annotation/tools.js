@@ -59,6 +59,7 @@ export class Tools {
       panel.review.active ? panel.review.stop() : panel.review.start(),
     );
     this.progress = this.addElement("i");
+    this.progress.className = "progress";
     this.progress.setAttribute("role", "status");
     this.hint = this.addElement("small");
     // proposals at or above this confidence are accepted, the others rejected; the panel shows the effect while it

@@ -11,6 +11,7 @@ const QUEUE = 16;
  * @property {string} codec
  * @property {Uint8Array} description
  * @property {number} rotation
+ * @property {boolean} colorStated whether the stream states its color matrix
  * @property {(number: number, image: any, bytes: number) => void} accept
  * @property {(reason: string) => void} fail
  */
@@ -31,9 +32,19 @@ export async function openDecoder(config) {
     : { reason: `this browser does not decode ${config.codec}` };
 }
 
+// Browsers assume BT.709 for many streams that state no colors. FFmpeg assumes BT.601, so images from the server would
+// have other colors.
+/** @type {VideoColorSpaceInit} */
+const UNSTATED_COLOR = { matrix: "smpte170m", primaries: "bt709", transfer: "iec61966-2-1", fullRange: false };
+
 // Decoded images are held for some time. The frames of a hardware decoder are few, so the software decoder is used.
-async function findSupport({ codec, description }) {
-  const described = description.length ? { codec, description } : { codec };
+/** @param {Config} config */
+async function findSupport({ codec, description, colorStated }) {
+  const described = {
+    codec,
+    ...(description.length && { description }),
+    ...(!colorStated && { colorSpace: UNSTATED_COLOR }),
+  };
   for (const hardwareAcceleration of /** @type {const} */ (["prefer-software", "no-preference"])) {
     const config = { ...described, hardwareAcceleration };
     try {

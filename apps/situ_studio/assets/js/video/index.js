@@ -30,6 +30,7 @@ export async function openVideo(described, options) {
     codec,
     description,
     rotation,
+    colorStated: described.color !== null,
     accept: (number, image, bytes) => (source ? source.accept(number, image, bytes) : image.close()),
     fail: (text) => source?.giveUp(text),
   });

@@ -70,6 +70,7 @@ defmodule Situ.Studio.CodedStreams do
       "width" => video.width,
       "height" => video.height,
       "rotation" => video.rotation,
+      "color" => video.color,
       "start" => Integer.to_string(start),
       "count" => length(rows),
       "packets" => rows |> pack_columns(start) |> :zlib.compress() |> Base.encode64()

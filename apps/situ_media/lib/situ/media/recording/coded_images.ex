@@ -8,7 +8,7 @@ defmodule Situ.Media.Recording.CodedImages do
   alias Situ.Recording.CodedVideo
 
   @seconds 30
-  @entries "stream=codec_name,profile,pix_fmt,width,height,extradata:stream_side_data=rotation"
+  @entries "stream=codec_name,profile,pix_fmt,color_space,width,height,extradata:stream_side_data=rotation"
   # A request for more bytes is refused, unless it is for a single packet.
   @most_bytes 32 * 1_048_576
 
@@ -33,6 +33,7 @@ defmodule Situ.Media.Recording.CodedImages do
          width: stream["width"] || 0,
          height: stream["height"] || 0,
          rotation: rotation,
+         color: stated_color(stream["color_space"]),
          packets: pack_packets(recording)
        }}
     end
@@ -61,6 +62,9 @@ defmodule Situ.Media.Recording.CodedImages do
       :error -> {:error, server_decodes(recording, "no browser decodes #{codec}")}
     end
   end
+
+  defp stated_color(color) when color in [nil, "unknown", "reserved"], do: nil
+  defp stated_color(color), do: text(color)
 
   defp text(value), do: if(is_binary(value), do: value, else: "")
 

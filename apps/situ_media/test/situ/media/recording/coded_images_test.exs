@@ -81,6 +81,13 @@ defmodule Situ.Media.Recording.CodedImagesTest do
     assert match?([{:hidden, _, true} | _], packets)
   end
 
+  test "the color matrix is nil unless the video states it", %{tmp_dir: root} do
+    x264 = ~w(-c:v libx264 -preset ultrafast)
+    {_, _, {:ok, unstated}} = open_video(film(root, "unstated.mp4", x264))
+    {_, _, {:ok, stated}} = open_video(film(root, "stated.mp4", x264 ++ ~w(-colorspace bt709)))
+    assert {unstated.color, stated.color} == {nil, "bt709"}
+  end
+
   test "the rotation of a video is that of its images", %{tmp_dir: root} do
     path = film(root, "plain.mp4", ~w(-c:v libx264))
     turned = Path.join(root, "turned.mp4")
