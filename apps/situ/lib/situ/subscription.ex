@@ -20,7 +20,7 @@ defmodule Situ.Subscription do
     * a `Situ.Message`; the process then calls `request_next/1`
     * `:ended` when the pipeline has ended. A target that is a name or a function is looked up again, so a pipeline that
       its supervisor restarts is followed; a pid is not
-    * a `Situ.Error` if there is no such pipeline or no such stream
+    * a `Situ.Error` if the pipeline or the stream does not exist
 
   The subscription is linked to the process that starts it and ends with it. It is a tap (`Situ.attach_tap/3`).
   """

@@ -131,7 +131,7 @@ defmodule Situ.CLI.Experiment do
           Option.new(
             :baseline,
             :path,
-            "the baseline (default: baseline.json, else the one that was promoted last)",
+            "the baseline (default: baseline.json, otherwise the set promoted last)",
             value: "FILE"
           ),
           Option.new(:bisect, :string, "find the commit after GOOD that made the metric fall",

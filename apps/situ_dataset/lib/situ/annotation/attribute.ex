@@ -171,16 +171,25 @@ defmodule Situ.Annotation.Attribute do
 
   @doc "Parses text to a number or boolean if the attribute has that kind; returns other text unchanged."
   @spec parse_value(t(), String.t()) :: term()
-  def parse_value(%__MODULE__{kind: :number}, text) do
+  def parse_value(%__MODULE__{kind: :number}, text), do: parse_number(text)
+
+  def parse_value(%__MODULE__{kind: :bool}, text) when text in ["true", "false"],
+    do: text == "true"
+
+  def parse_value(_attribute, text), do: text
+
+  @doc """
+  Parses text to a number; returns other text unchanged.
+
+      iex> Enum.map(["4", "0.5", "4 px"], &Situ.Annotation.Attribute.parse_number/1)
+      [4, 0.5, "4 px"]
+  """
+  @spec parse_number(String.t()) :: number() | String.t()
+  def parse_number(text) do
     case {Integer.parse(text), Float.parse(text)} do
       {{n, ""}, _} -> n
       {_, {x, ""}} -> x
       _ -> text
     end
   end
-
-  def parse_value(%__MODULE__{kind: :bool}, text) when text in ["true", "false"],
-    do: text == "true"
-
-  def parse_value(_attribute, text), do: text
 end

@@ -28,7 +28,7 @@ defmodule Situ.Annotation.Consensus do
 
   Options.add_to_moduledoc(__MODULE__, @options)
 
-  @typedoc "A span of a track in which no annotator's label changes. A label is `nil` where there is no annotation."
+  @typedoc "A span of a track in which no annotator's label changes. A label is `nil` without an annotation."
   @type segment :: %{
           track: String.t(),
           from: Situ.Time.t(),

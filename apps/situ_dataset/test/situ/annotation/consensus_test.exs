@@ -47,7 +47,7 @@ defmodule Situ.Annotation.ConsensusTest do
     end
   end
 
-  test "the disagreement of two layers is the one that kappa is computed from" do
+  test "kappa is computed from the disagreement of two layers" do
     {a, b} =
       {layer([{0, 40, "P", "a"}, {50, 10, "P", "b"}]),
        layer([{5, 40, "P", "a"}, {50, 10, "P", "a"}])}

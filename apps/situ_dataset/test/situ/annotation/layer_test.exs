@@ -5,6 +5,7 @@ defmodule Situ.Annotation.LayerTest do
   alias Situ.Annotation
   alias Situ.Annotation.{Edit, Layer, Schema}
 
+  doctest Situ.Annotation.Attribute
   doctest Situ.Annotation.Schema
   doctest Situ.Annotation.Layer
   doctest Situ.Annotation.Edit

@@ -12,15 +12,14 @@ defmodule Situ.Studio.Upload do
   alias Situ.Store.{AtomicFile, Folder}
   alias Situ.Studio.{Export, Stores}
 
-  @enforce_keys [:folder, :staging, :name, :size]
-  defstruct [:folder, :staging, :name, :size, :device, remaining: [], missing: 0, received: 0]
+  @enforce_keys [:folder, :staging, :name]
+  defstruct [:folder, :staging, :name, :device, remaining: [], missing: 0, received: 0]
 
   @typedoc "`remaining` lists the files that have not begun, `missing` is the number of bytes missing in the open one."
   @type t :: %__MODULE__{
           folder: Path.t(),
           staging: Path.t(),
           name: String.t(),
-          size: non_neg_integer(),
           device: :file.fd() | nil,
           remaining: [file()],
           missing: non_neg_integer(),
@@ -44,9 +43,7 @@ defmodule Situ.Studio.Upload do
          :ok <- check_format(name, files),
          :ok <- check_free(Path.join(folder, name)),
          {:ok, staging} <- TempFolder.create_folder("upload", folder) do
-      size = files |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-      upload = %__MODULE__{folder: folder, staging: staging, name: name, size: size}
-      keep_going(%{upload | remaining: files})
+      open_next_file(%__MODULE__{folder: folder, staging: staging, name: name, remaining: files})
     end
   end
 
@@ -135,7 +132,11 @@ defmodule Situ.Studio.Upload do
 
     case :file.write(upload.device, bytes) do
       :ok ->
-        keep_going(%{upload | missing: upload.missing - size, received: upload.received + size})
+        open_next_file(%{
+          upload
+          | missing: upload.missing - size,
+            received: upload.received + size
+        })
 
       {:error, reason} ->
         {:error, Folder.io_error("save #{upload.name}", reason)}
@@ -143,27 +144,27 @@ defmodule Situ.Studio.Upload do
   end
 
   # Closes a complete file and opens the next one.
-  defp keep_going(%{missing: missing} = upload) when missing > 0, do: {:ok, upload}
+  defp open_next_file(%{missing: missing} = upload) when missing > 0, do: {:ok, upload}
 
-  defp keep_going(%{device: nil, remaining: []} = upload), do: {:ok, upload}
+  defp open_next_file(%{device: nil, remaining: []} = upload), do: {:ok, upload}
 
-  defp keep_going(%{device: nil, remaining: [{path, size} | remaining]} = upload) do
+  defp open_next_file(%{device: nil, remaining: [{path, size} | remaining]} = upload) do
     path = Path.join(upload.staging, path)
 
     with :ok <- File.mkdir_p(Path.dirname(path)),
          {:ok, device} <- :file.open(path, [:write, :raw, :binary, :exclusive]) do
-      keep_going(%{upload | device: device, missing: size, remaining: remaining})
+      open_next_file(%{upload | device: device, missing: size, remaining: remaining})
     else
       {:error, reason} -> {:error, Folder.io_error("save #{upload.name}", reason)}
     end
   end
 
-  defp keep_going(upload) do
+  defp open_next_file(upload) do
     synced = :file.sync(upload.device)
     :ok = :file.close(upload.device)
 
     case synced do
-      :ok -> keep_going(%{upload | device: nil})
+      :ok -> open_next_file(%{upload | device: nil})
       {:error, reason} -> {:error, Folder.io_error("save #{upload.name}", reason)}
     end
   end

@@ -90,7 +90,7 @@ defmodule Situ.Annotation.Exchange.Coco do
     |> Map.reject(fn {_, value} -> value == nil end)
   end
 
-  # Without times of images, each box is on an image of its own.
+  # Without times of images, each box has a separate image.
   defp boxes_on_images(_layer, boxes, nil), do: for(box <- boxes, do: %{box | to: box.from})
 
   defp boxes_on_images(layer, _boxes, times) do

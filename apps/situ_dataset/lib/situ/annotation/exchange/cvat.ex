@@ -2,9 +2,9 @@ defmodule Situ.Annotation.Exchange.Cvat do
   @moduledoc false
   # Reads and writes the XML of CVAT for videos (version 1.1): a track with a box for each image, of which the key
   # frames are marked. CVAT interpolates between key frames, so without `times:` only key frames are written. An
-  # `outside` box ends a track. Readers need the size of the images, which a layer does not know: it is the one that
-  # contains all boxes. The meta data has the times of the images, so that a file of Situ keeps them. Images of other
-  # files are read 40 ms apart.
+  # `outside` box ends a track. Readers need the size of the images, which a layer does not know, so the file states
+  # the smallest size that contains all boxes. The meta data has the times of the images, so that a file of Situ keeps
+  # them. Images of other files are read 40 ms apart.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.BoxTracks

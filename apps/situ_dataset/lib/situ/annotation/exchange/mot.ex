@@ -6,6 +6,7 @@ defmodule Situ.Annotation.Exchange.Mot do
   # file are read 40 ms apart.
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
+  alias Situ.Annotation.Attribute
   alias Situ.Annotation.Exchange.BoxTracks
 
   @frame_ns 40_000_000
@@ -54,7 +55,7 @@ defmodule Situ.Annotation.Exchange.Mot do
   end
 
   defp parse_row(line) do
-    cells = line |> String.split(~r/[,\s]+/, trim: true) |> Enum.map(&parse_number/1)
+    cells = line |> String.split(~r/[,\s]+/, trim: true) |> Enum.map(&Attribute.parse_number/1)
 
     case cells do
       [image, track, x, y, width, height | rest] ->
@@ -67,14 +68,6 @@ defmodule Situ.Annotation.Exchange.Mot do
 
       _ ->
         :error
-    end
-  end
-
-  defp parse_number(text) do
-    case {Integer.parse(text), Float.parse(text)} do
-      {{n, ""}, _} -> n
-      {_, {x, ""}} -> x
-      _ -> text
     end
   end
 

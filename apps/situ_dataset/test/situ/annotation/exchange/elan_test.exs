@@ -206,7 +206,7 @@ defmodule Situ.Annotation.Exchange.ElanTest do
         |> Enum.sort()
       end
 
-      # Symbolic annotations have no times of their own, so their parts are the same if the aligned ones are whole ms.
+      # Symbolic annotations have no separate times, so their parts are the same if the aligned ones are whole ms.
       whole? =
         Enum.all?(strip.(layer), fn {from, to, _, _} ->
           rem(from, @ms) == 0 and rem(to, @ms) == 0

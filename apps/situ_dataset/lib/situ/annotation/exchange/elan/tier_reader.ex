@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Exchange.Elan.TierReader do
   @moduledoc false
-  # Reads the tiers, types and vocabularies of an ELAN document. Annotations without times of their own get them from
-  # their parents: symbolic subdivisions get equal parts. Boundaries without a time are interpolated.
+  # Reads the tiers, types and vocabularies of an ELAN document. Annotations without times get them from their
+  # parents: symbolic subdivisions get equal parts. Boundaries without a time are interpolated.
   alias Situ.Annotation.Schema
   alias Situ.Annotation.Exchange.Elan.TierWriter
   alias Situ.Xml
@@ -90,7 +90,7 @@ defmodule Situ.Annotation.Exchange.Elan.TierReader do
     end
   end
 
-  # The boundaries of a subdivision that have no time are spread between those that have one.
+  # Boundaries of a subdivision without a time are spread between the boundaries with a time.
   defp fill_slots(tier, {slots, count}) do
     chain =
       for(%{parent: nil, slots: {a, b}} <- tier.annotations, do: [a, b])

@@ -78,7 +78,7 @@ defmodule Situ.Annotation.Exchange.Elan.TierWriter do
     Enum.sort_by(rows ++ empty, fn {row, _} -> {tier_depth(layer.schema, row.tier), row.name} end)
   end
 
-  # A tier for all people has no track of its own if only the tracks of people are used.
+  # A tier for all people has no separate track if only the tracks of people are used.
   defp tier_needed?(schema, names, tier) do
     used? = Enum.any?(names, &(Schema.find_tier(schema, &1) != nil))
     family = family_names(schema, Tier.root_track(schema.tiers, tier.name))
