@@ -4,8 +4,6 @@
  * @typedef {{track: string, attribute: string, parent: string | null, relation: string | null, depth: number}} Tier
  */
 
-const SYMBOLIC = ["symbolic_subdivision", "symbolic_association"];
-
 /** @param {Tier[]} tiers @param {string} track @returns {Tier | null} */
 export function findTier(tiers, track) {
   return tiers.find((t) => t.track === track) ?? null;
@@ -74,10 +72,4 @@ function transcriptTrack({ tiers, attributes }, track) {
   if (isText(tier.attribute)) return track;
   const child = tiers.find((t) => t.parent === track && t.relation === "symbolic_association" && isText(t.attribute));
   return child?.track ?? null;
-}
-
-// Returns whether the times of a track's annotations follow from their parents.
-/** @param {Tier[]} tiers @param {string} track */
-export function isSymbolic(tiers, track) {
-  return SYMBOLIC.includes(findTier(tiers, track)?.relation ?? "");
 }

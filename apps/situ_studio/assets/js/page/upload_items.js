@@ -17,7 +17,7 @@ export const chosenItems = (files) =>
  * @param {UploadFile[]} files
  * @returns {UploadItem[]}
  */
-export function groupFiles(files) {
+function groupFiles(files) {
   /** @type {Map<string, UploadFile[]>} */
   const items = new Map();
   for (const entry of files) {
