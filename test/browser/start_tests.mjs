@@ -69,8 +69,11 @@ test("start: this browser's camera is recorded until its page is closed", async 
   await other.goto(start);
   await connected(other);
   const row = `.home .item[href='${link}']`;
-  await until(other, (found) => !document.querySelector(found)?.querySelector(".badge.live"), "it has ended", row);
-  ok((await other.textContent(row)).includes("2 streams"), "it has images and sound");
+  const closed = (found) => {
+    const text = document.querySelector(found)?.textContent ?? "";
+    return text.includes("2 streams") && !document.querySelector(`${found} .badge.live`);
+  };
+  await until(other, closed, "it has images and sound, and has ended", row);
 });
 
 test("start: another machine's recordings need its token, and are shown", async ({ page }) => {
