@@ -47,7 +47,10 @@ defmodule Situ.Stage.ErrorPolicy do
     if step.source.stopping in [nil, :done], do: step, else: report_source_stopped(step)
   end
 
-  # Up to where its streams are complete: before the message at which it failed or, without one, up to its last post.
+  # Up to where its streams are complete: before the message at which it failed or, without one, up to its last post on
+  # the output that is furthest behind. All streams of a source that has reported its end are complete.
+  defp reached_time(%{source: %{completed: true, completing: nil}}, _error), do: nil
+
   defp reached_time(_step, %{meta: %{originating_time: time}}) when is_integer(time), do: time - 1
 
   defp reached_time(step, _error) do

@@ -87,6 +87,58 @@ defmodule Situ.Lifecycle.FailureTest do
     end
   end
 
+  defmodule FailsAtStop do
+    # Emits on two outputs, one of which ends long before the other, completes, and raises when it is stopped.
+    use Situ.Component, outputs: [long: :integer, short: :integer], options: [tell: [type: :any]]
+
+    @impl true
+    def init(opts), do: {:ok, opts[:tell]}
+
+    @impl true
+    def handle_demand(_n, context, tell) do
+      time = &(context.now + Situ.Time.ms(&1))
+      long = for i <- 1..50, do: {:long, time.(i), i}
+      {[{:short, time.(1), 1} | long] ++ [{:complete, time.(50)}], tell}
+    end
+
+    @impl true
+    def handle_stop(_final_time, _context, tell) do
+      send(tell, :raising)
+      raise "damaged"
+    end
+  end
+
+  test "a source that fails after it has completed loses none of its messages" do
+    test = self()
+
+    run =
+      Task.async(fn ->
+        Pipeline.run(fn p ->
+          Pipeline.on(p, :error, fn _error -> send(test, :failed) end)
+          node = Pipeline.add(p, FailsAtStop, tell: test, name: "FailsAtStop")
+          Situ.each(Situ.Node.output(node, :short), &send(test, {:short, &1}))
+
+          Situ.each(Situ.Node.output(node, :long), fn i ->
+            if i == 5, do: wait_for_permission(test)
+            send(test, {:long, i})
+          end)
+        end)
+      end)
+
+    assert_receive {:waiting, consumer}, 10_000
+    assert_receive :raising, 10_000
+    assert_receive :failed, 10_000
+    send(consumer, :go_on)
+    assert {:error, %Situ.Error{code: :component_failed}} = Task.await(run, 10_000)
+    {:messages, received} = Process.info(self(), :messages)
+    assert Enum.to_list(1..50) == for({:long, i} <- received, do: i)
+  end
+
+  defp wait_for_permission(test) do
+    send(test, {:waiting, self()})
+    receive do: (:go_on -> :ok)
+  end
+
   describe "on_error" do
     test "applies to messages that arrive while the pipeline is starting, and keeps their order" do
       me = self()
