@@ -3,7 +3,7 @@ defmodule Situ.Operator.Chain do
   # A chain of light operators in one process. Only the data moves from operator to operator; the caller adds the
   # envelopes at the end. Operators without state are composed into one function. An operator that raises is identified
   # by its index, so that the error names the operator that the user wrote.
-  alias Situ.Message
+  alias Situ.{Columns, Message}
   alias Situ.Delivery.Batch
 
   @type step ::
@@ -15,6 +15,9 @@ defmodule Situ.Operator.Chain do
   @skip :"$situ_skip"
   # The time is checked after this many messages: an operator that becomes slow must not keep requests waiting for many.
   @check_every 4
+  # So many values of columns become messages together. If the time is up, the others have cost nothing: next to many
+  # busy processes, that is the case after a few messages.
+  @unpacked_together 256
 
   @enforce_keys [:steps]
   defstruct [:steps, :composed, takes_message?: false, skips?: false]
@@ -94,6 +97,10 @@ defmodule Situ.Operator.Chain do
   them `skip/0`, the chain, and `:late` or the failure that ended the run before the last message.
   """
   @spec run_batch(t(), Batch.t(), integer()) :: {[term()], t(), :done | :late | failure()}
+  def run_batch(%__MODULE__{} = chain, %Columns{count: count} = columns, till)
+      when count > @unpacked_together,
+      do: run_parts(chain, columns, till, [])
+
   def run_batch(%__MODULE__{takes_message?: false} = chain, batch, till) do
     {results, outcome} = run_data(Batch.data(batch), chain.composed, till, [])
     {:lists.reverse(results), chain, outcome}
@@ -101,6 +108,16 @@ defmodule Situ.Operator.Chain do
 
   def run_batch(%__MODULE__{} = chain, batch, till),
     do: run_messages(Batch.messages(batch), chain, till, [])
+
+  defp run_parts(chain, columns, till, before) do
+    {part, rest} = Batch.split(columns, @unpacked_together)
+    {results, chain, outcome} = run_batch(chain, part, till)
+    before = [results | before]
+
+    if outcome == :done and rest != nil,
+      do: run_parts(chain, rest, till, before),
+      else: {before |> :lists.reverse() |> :lists.append(), chain, outcome}
+  end
 
   defp run_data(data, fun, till, results) do
     case run_some(data, fun, results, @check_every) do

@@ -4,7 +4,7 @@ defmodule Situ.Operator.ChainTest do
   use Situ.Test.Property
 
   alias Situ.Graph.Vertex
-  alias Situ.Message
+  alias Situ.{Columns, Message}
   alias Situ.Operator.Chain
   require Chain
 
@@ -81,4 +81,43 @@ defmodule Situ.Operator.ChainTest do
     assert {[], _, {:situ_step, 1, :throw, :ball, _}} =
              Chain.run_batch(chain, messages([1]), :never)
   end
+
+  test "columns give the results of their messages, also where an operator fails" do
+    chains = [
+      [{:map, &refuse_zero/1}],
+      [{:map, &refuse_zero/1}, {:filter, fn data, message -> data > message.sequence_id end}],
+      [{:step, fn data, _message, sum -> {:emit, refuse_zero(data) + sum, sum + 1} end, 0}]
+    ]
+
+    for steps <- chains, failing <- [1, 256, 257, 700, nil] do
+      messages =
+        messages(for i <- 1..700, do: if(i == failing, do: 0, else: rem(i * 997, 1_400) + 1))
+
+      {:ok, columns} = Columns.from_messages(messages)
+      {expected, ran, expected_outcome} = Chain.run_batch(chain(steps), messages, :never)
+      {results, again, outcome} = Chain.run_batch(chain(steps), columns, :never)
+      assert results == expected
+      assert outcome(outcome) == outcome(expected_outcome)
+      assert outcome == :done == (failing == nil)
+      assert Enum.map(again.steps, &Tuple.to_list/1) == Enum.map(ran.steps, &Tuple.to_list/1)
+    end
+  end
+
+  test "a chain that runs out of time unpacks few of many columns" do
+    {:ok, columns} = Columns.from_messages(messages(for i <- 1..100_000, do: 26 * i))
+    past = :erlang.monotonic_time(:nanosecond) - 1
+
+    for step <- [step(0), step(3)] do
+      chain = chain([step])
+      {:reductions, before} = Process.info(self(), :reductions)
+
+      assert {[_, _, _, _], _chain, :late} = Chain.run_batch(chain, columns, past)
+
+      {:reductions, later} = Process.info(self(), :reductions)
+      assert later - before < 10_000
+    end
+  end
+
+  defp refuse_zero(0), do: raise("zero")
+  defp refuse_zero(data), do: data
 end
