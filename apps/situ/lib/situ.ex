@@ -256,8 +256,8 @@ defmodule Situ do
 
   When `max:` messages are in progress, the stream waits. If the function raises, exits or exceeds `timeout:`, that is
   an error at its message's time, which is handled as `on_error:` specifies: `:stop` emits the results of older
-  messages, `:skip` emits all other results, and `:restart` also discards the messages in progress. Reproducible: yes,
-  if `fun` is.
+  messages, and `:skip` and `:restart` emit all other results (`:restart` up to the pipeline's `max_restarts:`). If the
+  process is killed, the messages in progress are handled again. Reproducible: yes, if `fun` is.
 
   #{Options.docs(MapAsync.option_schema())}
   """

@@ -33,6 +33,10 @@ defmodule Situ.Component do
     * `{:hold, input}`: take no messages from `input` for 20 ms of real time (then
       `handle_info({:hold_ended, input}, ...)` is called), or until `{:resume, input}`. The producer runs out of
       demand and waits. For components that must not let one input run far ahead;
+    * `{:in_progress, input, n, until}`: the component still works on the last `n` messages of `input`, and has finished
+      those up to the originating time `until` (`nil`: none). A process that replaces this one receives the `n` messages
+      again. Return it whenever `n` changes. For components that handle messages in the background;
+    * `{:error, error}`: report a `Situ.Error` about an earlier message. `on_error:` applies, but the state is kept;
     * `{:linger, true}`: keep the outputs open after all inputs have closed, because a timer will emit more messages;
       `{:linger, false}` ends this. If the pipeline is stopped before, `handle_info({:linger, :end}, ...)` requests
       the remaining messages;
@@ -60,6 +64,8 @@ defmodule Situ.Component do
           | {:resume, input :: atom()}
           | {:detach, input :: atom(), opts :: keyword()}
           | {:demand, :accumulate | :forward}
+          | {:in_progress, input :: atom(), non_neg_integer(), Situ.Time.t() | nil}
+          | {:error, Situ.Error.t()}
           | {:linger, boolean()}
           | :stopping
           | :stopped

@@ -25,7 +25,7 @@ defmodule Situ.MapAsync do
       when is_function(fun, 1) or is_function(fun, 2) do
     {own, placement} = Placement.split_options!(opts, @schema, :operator)
     own = Keyword.put_new(own, :max, System.schedulers_online())
-    options = [fun: fun, errors: placement[:on_error] || :stop] ++ own
+    options = [fun: fun] ++ own
     Operator.attach_component(stream, "MapAsync", {Situ.MapAsync.Component, options}, placement)
   end
 

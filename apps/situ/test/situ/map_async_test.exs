@@ -122,6 +122,62 @@ defmodule Situ.MapAsyncTest do
     end
   end
 
+  test "on_error: :restart loses only the failed message, and counts the restarts" do
+    work = fn v ->
+      for _ <- 1..(rem(v * 7, 5) * 1_000)//1, do: :erlang.yield()
+      if rem(v, 50) == 0, do: raise("bang"), else: v
+    end
+
+    {{:ok, report}, got} = run(1..200, work, max: 8, on_error: :restart, name: "Work")
+    assert got == Enum.reject(1..200, &(rem(&1, 50) == 0))
+    assert report.skipped == %{"Work" => 4}
+
+    assert {{:error, %{code: :restarted_too_often}}, _} =
+             run(1..100_000, fn _ -> raise("bang") end, max: 8, on_error: :restart)
+  end
+
+  test "jobs of a killed process run again, and no result is lost or repeated" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.from_enumerable(1..20, every: 10)
+          |> Situ.map_async(
+            fn v ->
+              send(me, {:begun, v, self()})
+              receive do: (:go_on -> v)
+            end,
+            max: 3,
+            on_error: :restart,
+            name: "Work"
+          )
+          |> Situ.each(&send(me, {:got, &1}))
+        end,
+        pipeline: @replay
+      )
+
+    kill = fn ->
+      [pid] = for %{nodes: ["Work"], pid: "#PID" <> pid} <- Pipeline.info(p).processes, do: pid
+      pid |> String.to_charlist() |> :erlang.list_to_pid() |> Process.exit(:kill)
+    end
+
+    for v <- 1..3, do: begun(v)
+    kill.()
+    [first, second, _third] = for v <- 1..3, do: begun(v)
+    send(second, :go_on)
+    send(first, :go_on)
+    assert_receive {:got, 1}, 10_000
+    assert_receive {:got, 2}, 10_000
+    for v <- 4..5, do: begun(v)
+    kill.()
+    for v <- 3..5, do: send(begun(v), :go_on)
+    for v <- 6..20, do: send(begun(v), :go_on)
+    assert {:ok, _report} = Pipeline.await(p)
+    assert got() == Enum.to_list(3..20)
+  end
+
   test "a job that exits, throws or is killed is an error" do
     for bad <- [
           fn -> exit(:gone) end,

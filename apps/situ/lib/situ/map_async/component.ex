@@ -1,28 +1,28 @@
 defmodule Situ.MapAsync.Component do
   @moduledoc false
   # Jobs are in the order of their messages, and the oldest decides when results can be emitted. A failed job becomes an
-  # error when it is the oldest.
+  # error when it is the oldest. Until then its message is in progress: if this process is killed, its jobs end, and the
+  # next process starts them again.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
     options: [
       fun: [type: :any, required: true],
       max: [type: :pos_integer, required: true],
-      timeout: [type: :any, default: :infinity],
-      errors: [type: {:in, [:stop, :skip, :restart]}, default: :stop]
+      timeout: [type: :any, default: :infinity]
     ]
 
   alias Situ.{Error, Runtime}
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: Map.new(opts), jobs: :queue.new(), count: 0, done: %{}, failing: false}}
+    do: {:ok, %{opts: Map.new(opts), jobs: :queue.new(), count: 0, done: %{}, finished: nil}}
 
   @impl true
-  def handle_message(:in, message, context, state) do
+  def handle_message(:in, message, _context, state) do
     ref = start_job(message, state.opts)
     jobs = :queue.in({ref, message.originating_time}, state.jobs)
-    hold_or_resume(%{state | jobs: jobs, count: state.count + 1}, [], context)
+    report_progress(%{state | jobs: jobs, count: state.count + 1}, [])
   end
 
   defp start_job(message, %{fun: fun, timeout: timeout}) do
@@ -81,23 +81,13 @@ defmodule Situ.MapAsync.Component do
     {[], state}
   end
 
-  def handle_info({:hold_ended, :in}, context, state), do: hold_or_resume(state, [], context)
-
-  # The error is a separate message, so that handling it undoes nothing else.
-  def handle_info({:situ_failed, error}, _context, _state), do: raise(error)
-
-  def handle_info(:situ_failed_job_done, context, state),
-    do: emit_finished(%{state | failing: false}, [], context)
-
+  def handle_info({:hold_ended, :in}, _context, state), do: report_progress(state, [])
   def handle_info(_other, _context, state), do: {[], state}
 
   # No more messages will arrive, so this waits for all jobs in progress.
   @impl true
-  def handle_closed(:in, _time, context, state) do
-    state = await_jobs(state)
-    {actions, state} = emit_finished(state, [], context)
-    emit_remaining(actions, state, context)
-  end
+  def handle_closed(:in, _time, context, state),
+    do: state |> await_jobs() |> emit_finished([], context)
 
   defp await_jobs(state) do
     if map_size(state.done) == state.count do
@@ -114,55 +104,42 @@ defmodule Situ.MapAsync.Component do
     end
   end
 
-  # With `:stop` nothing follows an error; otherwise all other results do.
-  defp emit_remaining(actions, %{failing: true, opts: %{errors: errors}} = state, context)
-       when errors != :stop do
-    {more, state} = emit_finished(%{state | failing: false}, [], context)
-    emit_remaining(actions ++ more, state, context)
-  end
-
-  defp emit_remaining(actions, state, _context), do: {actions, state}
-
   @impl true
   def terminate(_reason, _state), do: :ok
 
   defp put_result(state, ref, {:situ_result, result}), do: put_in(state.done[ref], result)
   defp put_result(state, ref, reason), do: put_in(state.done[ref], {:failed, :exit, reason, []})
 
-  # Emits finished results in order, oldest first.
-  defp emit_finished(%{failing: true} = state, actions, _context),
-    do: {Enum.reverse(actions), state}
-
+  # Emits finished results in order, oldest first. `actions` are reversed.
   defp emit_finished(state, actions, context) do
     with {:value, {ref, time}} <- :queue.peek(state.jobs), %{^ref => result} <- state.done do
       state = %{
         state
         | jobs: :queue.drop(state.jobs),
           count: state.count - 1,
-          done: Map.delete(state.done, ref)
+          done: Map.delete(state.done, ref),
+          finished: time
       }
 
-      case result do
-        {:ok, value} ->
-          emit_finished(state, [{:out, time, value} | actions], context)
-
-        {:failed, kind, reason, stack} ->
-          send(self(), {:situ_failed, job_error(kind, reason, stack, time, context, state.opts)})
-          send(self(), :situ_failed_job_done)
-          emit_finished(%{state | failing: true}, actions, context)
-      end
+      action = result_action(result, time, context, state.opts)
+      emit_finished(state, [action | actions], context)
     else
-      _ -> hold_or_resume(state, actions, context)
+      _ -> report_progress(state, actions)
     end
   end
 
+  defp result_action({:ok, value}, time, _context, _opts), do: {:out, time, value}
+
+  defp result_action({:failed, kind, reason, stack}, time, context, opts),
+    do: {:error, job_error({kind, reason, stack}, time, context, opts)}
+
   # When all slots are in use, the input is held so that the stream waits.
-  defp hold_or_resume(%{count: count, opts: %{max: max}} = state, actions, _context) do
-    action = if count >= max, do: {:hold, :in}, else: {:resume, :in}
-    {Enum.reverse([action | actions]), state}
+  defp report_progress(%{count: count, opts: %{max: max}} = state, actions) do
+    hold = if count >= max, do: {:hold, :in}, else: {:resume, :in}
+    {Enum.reverse([{:in_progress, :in, count, state.finished}, hold | actions]), state}
   end
 
-  defp job_error(_kind, :killed, _stack, time, context, %{timeout: timeout})
+  defp job_error({_kind, :killed, _stack}, time, context, %{timeout: timeout})
        when timeout != :infinity do
     Error.new(:timeout, "#{context.path} did not finish within #{timeout} ms",
       why: "its function was still running for the message at #{time} ns",
@@ -171,7 +148,7 @@ defmodule Situ.MapAsync.Component do
     )
   end
 
-  defp job_error(kind, reason, stack, time, context, _opts) do
+  defp job_error({kind, reason, stack}, time, context, _opts) do
     Error.new(
       :component_failed,
       "#{context.path} failed: #{Exception.format_banner(kind, reason, stack)}",

@@ -10,12 +10,12 @@ defmodule Situ.Ports.Input do
   alias Situ.Delivery.{Batch, Queue}
   alias Situ.Ports.{Address, Counters, DemandWindow}
 
-  @compile {:inline, ask: 2, enter: 2}
+  @compile {:inline, ask: 2, enter: 2, add_owed: 2}
 
   @hold_ms 20
   # Asking takes longer than this, so that it costs a part of the throughput only.
   @stale_ns 50_000
-  @nothing {0, 0, 0}
+  @nothing {0, 0, 0, 0}
 
   @enforce_keys [:name, :tag, :producer, :window, :counters]
   defstruct [
@@ -39,7 +39,8 @@ defmodule Situ.Ports.Input do
   the time at which its messages were known to be the newest, or `:asked`, or `:sure` for the next take. `held` is a
   timer and token while the component pauses the input. `arrival` holds whether the sizes of arriving data are counted,
   and, after a restart of the producer, the time up to which messages have arrived before. `handled` holds the number of
-  messages handled since the last publication, and the latency and originating time of the last one.
+  messages handled but not published, the latency and originating time of the last one, and for how many of them demand
+  was sent, because the component still works on them.
   """
   @type t :: %__MODULE__{
           name: atom(),
@@ -53,7 +54,7 @@ defmodule Situ.Ports.Input do
           arrival: {sizes? :: boolean(), arrived :: Situ.Time.t() | nil},
           front: [entry()],
           rear: [entry()],
-          handled: {non_neg_integer(), integer(), Situ.Time.t()}
+          handled: {non_neg_integer(), integer(), Situ.Time.t(), non_neg_integer()}
         }
 
   @doc "Builds an input; `opts` holds its `type`, `check`, `counters` and `sizes`."
@@ -98,7 +99,7 @@ defmodule Situ.Ports.Input do
   end
 
   # A producer may be killed after it has sent messages, and before it has counted them.
-  defp last_time(%{front: front, rear: rear, handled: {n, _latency, time}} = input) do
+  defp last_time(%{front: front, rear: rear, handled: {n, _latency, time, _}} = input) do
     waiting = Enum.find(rear, &batch?/1) || List.last(Enum.filter(front, &batch?/1))
 
     cond do
@@ -271,29 +272,46 @@ defmodule Situ.Ports.Input do
 
   @doc "Counts `n` messages, the last at `time`, as handled from clock time `now` on."
   @spec count_handled(t(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: t()
-  def count_handled(%__MODULE__{handled: {handled, _, _}} = input, n, time, now),
-    do: %{input | handled: {handled + n, now - time, time}}
+  def count_handled(%__MODULE__{handled: {handled, _, _, requested}} = input, n, time, now),
+    do: %{input | handled: {handled + n, now - time, time, requested}}
 
-  @doc "Publishes the counts, with `each` ns for a message, and sends demand to the producer when enough is owed."
-  @spec publish_counts(t(), integer()) :: t()
-  def publish_counts(%__MODULE__{handled: @nothing, window: %{owed: 0}} = input, _each), do: input
+  @doc """
+  Publishes the counts, with `each` ns for a message, and sends demand to the producer when enough is owed. The component
+  still works on the last messages of `progress`, `{their number, time of the last finished message or nil}`: a process
+  that replaces this one receives them again.
+  """
+  @spec publish_counts(t(), integer(), {non_neg_integer(), Situ.Time.t() | nil}) :: t()
+  def publish_counts(
+        %__MODULE__{handled: @nothing, window: %{owed: 0}} = input,
+        _each,
+        _progress
+      ),
+      do: input
 
-  def publish_counts(%__MODULE__{handled: {n, latency, reached}, window: window} = input, each) do
-    if n > 0 do
-      Counters.count_processed(input.counters, n, latency, each * n)
-      Counters.record_reached(input.counters, reached, reached + latency)
+  def publish_counts(%__MODULE__{} = input, each, {in_progress, finished_until}) do
+    %{handled: {n, latency, last, requested}, counters: counters} = input
+    kept = min(in_progress, n)
+    done = n - kept
+
+    if done > 0 do
+      Counters.count_processed(counters, done, latency, each * done)
+      reached = if kept == 0, do: last, else: finished_until
+      if reached, do: Counters.record_reached(counters, reached, last + latency)
     end
 
-    window = if input.lossy == nil, do: DemandWindow.add_owed(window, n), else: window
-    {asked, window} = DemandWindow.take_owed(window)
+    input = if input.lossy == nil, do: add_owed(input, n - requested), else: input
+    {asked, window} = DemandWindow.take_owed(input.window)
     if asked > 0, do: ask(input, asked)
-    %{input | handled: @nothing, window: window}
+    handled = if kept == 0, do: @nothing, else: {kept, latency, last, kept}
+    %{input | handled: handled, window: window}
   end
+
+  defp add_owed(input, n), do: %{input | window: DemandWindow.add_owed(input.window, n)}
 
   @doc "Publishes the last counts of an input that has closed, and acknowledges its end to the producer."
   @spec acknowledge_end(t(), integer()) :: term()
   def acknowledge_end(%__MODULE__{producer: producer, tag: tag} = input, each) do
-    publish_counts(input, each)
+    publish_counts(input, each, {0, nil})
     if producer, do: Address.acknowledge_end(producer, tag)
   end
 
@@ -308,7 +326,7 @@ defmodule Situ.Ports.Input do
   @spec drop_taken(t(), non_neg_integer()) :: t()
   def drop_taken(%__MODULE__{} = input, n) do
     count_dropped(input, n)
-    if input.lossy, do: input, else: %{input | window: DemandWindow.add_owed(input.window, n)}
+    if input.lossy, do: input, else: add_owed(input, n)
   end
 
   defp count_dropped(_input, 0), do: :ok

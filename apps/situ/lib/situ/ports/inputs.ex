@@ -6,15 +6,16 @@ defmodule Situ.Ports.Inputs do
   # From so many on, they are kept in the order of their heads: fewer are looked through quicker.
   @many 17
 
-  @compile {:inline, touch: 2}
+  @compile {:inline, touch: 2, publish_counts: 3}
 
-  defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: []
+  defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: [], in_progress: %{}
 
   @typedoc """
   `tags` are the keys of `by_tag`; traversing a list is cheaper, and most stages have one input. `touched` lists the
   inputs that have changed since the last settling, so that a message does not visit each of thousands of inputs.
   `order` is used for many inputs: the times of their heads in order, and by tag. `closed` holds the names of closed
-  inputs; `told` the inputs whose end the component knew before it was restarted.
+  inputs; `told` the inputs whose end the component knew before it was restarted. `in_progress` holds, by tag, how many of
+  the last messages the component still works on, and the time of the last finished message.
   """
   @type t :: %__MODULE__{
           by_tag: %{term() => Input.t()},
@@ -22,7 +23,8 @@ defmodule Situ.Ports.Inputs do
           touched: [term()],
           order: {:gb_sets.set({Situ.Time.t(), term()}), %{term() => Situ.Time.t()}} | nil,
           closed: [atom()],
-          told: [atom()]
+          told: [atom()],
+          in_progress: %{term() => {pos_integer(), Situ.Time.t() | nil}}
         }
 
   @spec new([Input.t()]) :: t()
@@ -75,7 +77,8 @@ defmodule Situ.Ports.Inputs do
   def delete(%__MODULE__{} = inputs, tag) do
     by_tag = Map.delete(inputs.by_tag, tag)
     order = inputs.order && order(inputs.order, tag, :none)
-    %{inputs | by_tag: by_tag, tags: Map.keys(by_tag), order: order}
+    in_progress = Map.delete(inputs.in_progress, tag)
+    %{inputs | by_tag: by_tag, tags: Map.keys(by_tag), order: order, in_progress: in_progress}
   end
 
   @doc "Sets the function that decides which messages the input `tag` never drops."
@@ -157,11 +160,27 @@ defmodule Situ.Ports.Inputs do
   defp settle([tag | rest], %{by_tag: by_tag} = inputs, each) do
     case by_tag do
       %{^tag => input} ->
-        input = Input.publish_counts(input, each)
+        input = publish_counts(input, each, inputs.in_progress)
         settle(rest, %{inputs | by_tag: %{by_tag | tag => input}}, each)
 
       _has_closed ->
         settle(rest, inputs, each)
+    end
+  end
+
+  defp publish_counts(input, each, none) when none == %{},
+    do: Input.publish_counts(input, each, {0, nil})
+
+  defp publish_counts(input, each, in_progress),
+    do: Input.publish_counts(input, each, Map.get(in_progress, input.tag, {0, nil}))
+
+  @doc "Sets on how many of the last messages of an input the component still works: `{n, time of the last finished}`."
+  @spec put_progress(t(), atom(), {non_neg_integer(), Situ.Time.t() | nil}) :: t()
+  def put_progress(%__MODULE__{in_progress: in_progress} = inputs, name, {n, _time} = progress) do
+    case find_by_name(inputs, name) do
+      nil -> inputs
+      %{tag: tag} when n == 0 -> touch(%{inputs | in_progress: Map.delete(in_progress, tag)}, tag)
+      %{tag: tag} -> touch(%{inputs | in_progress: Map.put(in_progress, tag, progress)}, tag)
     end
   end
 

@@ -49,6 +49,13 @@ defmodule Situ.Stage.ActionRunner do
       when is_atom(name) and is_list(messages),
       do: forward(step, name, messages, rest)
 
+  def apply_actions(step, [{:error, %Error{} = error} | rest]) do
+    case ErrorPolicy.report_failure(step, error) do
+      %{phase: :failed} = step -> {:ok, step}
+      step -> apply_actions(step, rest)
+    end
+  end
+
   def apply_actions(step, [action | rest]) do
     with {:ok, step} <- apply_action(step, action), do: apply_actions(step, rest)
   end
@@ -98,6 +105,10 @@ defmodule Situ.Stage.ActionRunner do
 
   defp apply_action(step, {how, input}) when how in [:hold, :resume] and is_atom(input),
     do: {:ok, %{step | inputs: Inputs.set_hold(step.inputs, input, how == :hold)}}
+
+  defp apply_action(step, {:in_progress, input, n, until})
+       when is_atom(input) and is_integer(n) and n >= 0 and (is_integer(until) or until == nil),
+       do: {:ok, %{step | inputs: Inputs.put_progress(step.inputs, input, {n, until})}}
 
   # The component may be handling a message of this input, so the connection is removed in the next time slice.
   defp apply_action(step, {:detach, input, opts}) when is_atom(input) and is_list(opts) do

@@ -3,6 +3,7 @@ defmodule Situ.Stage.ErrorPolicy do
   # Applies an error to a step as `on_error` specifies: lose a message, restart, or fail.
   alias Situ.Error
   alias Situ.Clock.Timers
+  alias Situ.Component.Callback
   alias Situ.Ports.{ErrorCounters, Outputs}
   alias Situ.Stage.{SourceState, Step}
 
@@ -23,6 +24,18 @@ defmodule Situ.Stage.ErrorPolicy do
     ErrorCounters.count_restart(step.host.errors, index)
     Step.report_event(step, {:restarted, error})
     step
+  end
+
+  @doc "Applies `on_error` to a failure that the component reports about an earlier message; it keeps its state."
+  @spec report_failure(Step.t(), Error.t()) :: Step.t()
+  def report_failure(%{worker: worker} = step, error) do
+    error = Callback.add_component_path(error, worker.path)
+
+    case worker.on_error do
+      :stop -> fail_step(step, error)
+      :skip -> skip_message(step, error, step.index)
+      :restart -> record_restart(step, error, step.index)
+    end
   end
 
   @doc "Fails the step, and with it the stage: from now on it discards all messages."

@@ -77,6 +77,17 @@ defmodule Situ.Simulation.OperatorsTest do
     Simulation.check(fn -> Simulated.check_values(build, 1..20) end, schedules: 150)
   end
 
+  test "map_async loses and repeats nothing if it is killed" do
+    build =
+      &(Situ.from_enumerable(&1, 1..20, every: 1)
+        |> Situ.map_async(fn n -> n end, max: 3, on_error: :restart, name: "Killed"))
+
+    Simulation.check(fn -> Simulated.check_values(build, 1..20) end,
+      schedules: 150,
+      kill: ["Killed", "Killed"]
+    )
+  end
+
   for {name, policy} <- [
         latest: Delivery.latest(),
         max_queue: Delivery.max_queue(2),
