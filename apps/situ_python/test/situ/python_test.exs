@@ -444,6 +444,52 @@ defmodule Situ.PythonTest do
     end
   end
 
+  test "a component whose process is killed loses and repeats no result", %{tmp_dir: dir} do
+    source = write_part(dir, "def on_value(self, value, message):\n    return {'out': value * 2}")
+    test = self()
+    counter = :counters.new(1, [])
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p
+        |> Situ.from_enumerable(1..3_000, every: 10)
+        |> Situ.Python.component(source, on_error: :restart, name: "Double")
+        |> Situ.each(fn value ->
+          :counters.add(counter, 1, 1)
+          # Once in a thousand results, the pipeline waits until the component has been killed.
+          if rem(:counters.get(counter, 1), 1_000) == 500, do: await_kill(test)
+          send(test, {:got, value})
+        end)
+      end)
+
+    for _ <- 1..3 do
+      assert_receive {:waiting, consumer}, 60_000
+      [pid] = for %{nodes: ["Double"], pid: "#PID" <> pid} <- Pipeline.info(p).processes, do: pid
+      pid |> String.to_charlist() |> :erlang.list_to_pid() |> Process.exit(:kill)
+      send(consumer, :go_on)
+    end
+
+    assert {:ok, _report} = Pipeline.await(p, 60_000)
+    {:messages, messages} = Process.info(self(), :messages)
+    assert for({:got, value} <- messages, do: value) == for(i <- 1..3_000, do: i * 2)
+  end
+
+  defp await_kill(test) do
+    send(test, {:waiting, self()})
+    receive do: (:go_on -> :ok)
+  end
+
+  test "a value that cannot be sent is the error of its message only", %{tmp_dir: dir} do
+    source = write_part(dir, "def on_value(self, value, message):\n    return {'out': value}")
+    values = [1, 2, self(), 4]
+    assert {[1, 2], {:error, error}} = collect_part(source, values, [])
+    assert %{code: :not_writable} = error
+    assert error.what =~ "cannot be sent to Python"
+    assert {[1, 2, 4], {:ok, _report}} = collect_part(source, values, on_error: :skip)
+    assert {[1, 2, 4], {:ok, _report}} = collect_part(source, values, on_error: :restart)
+    assert {[1, 2, 4], {:ok, _report}} = collect_part(source, values, on_error: :skip, max: 2)
+  end
+
   describe "a worker that misbehaves" do
     test "in an endless loop is killed after its timeout", %{tmp_dir: dir} do
       source =

@@ -184,6 +184,15 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
+  @doc "Counts the messages in progress as handled, because a component that restarts knows nothing of them."
+  @spec forget_progress(t()) :: t()
+  def forget_progress(%__MODULE__{in_progress: none} = inputs) when none == %{}, do: inputs
+
+  def forget_progress(%__MODULE__{in_progress: in_progress} = inputs) do
+    inputs = in_progress |> Map.keys() |> Enum.reduce(inputs, &touch(&2, &1))
+    %{inputs | in_progress: %{}}
+  end
+
   @doc "Pauses or resumes an input for the component."
   @spec set_hold(t(), atom(), boolean()) :: t()
   def set_hold(%__MODULE__{} = inputs, name, held?) do

@@ -4,7 +4,7 @@ defmodule Situ.Stage.CallbackRunner do
   alias Situ.Error
   alias Situ.Clock.Timers
   alias Situ.Component.Callback
-  alias Situ.Ports.Output
+  alias Situ.Ports.{Inputs, Output}
   alias Situ.Stage.{ActionRunner, ErrorPolicy, Step}
 
   @doc "Calls a callback now; the context is added as the argument before the state."
@@ -69,6 +69,7 @@ defmodule Situ.Stage.CallbackRunner do
     step = ErrorPolicy.record_restart(step, error, step.index)
     Callback.stop_component(step.worker, error)
     step = Step.map_outputs(step, &Output.resume_after_restart/1)
+    step = %{step | inputs: Inputs.forget_progress(step.inputs)}
 
     with {:ok, worker} <- Callback.start_component(step.worker),
          work = %{step.work | continue: :none, lingers: false},

@@ -3,16 +3,13 @@ defmodule Situ.Python.Component do
   # Hands messages to a Python worker and emits its results, in order. Several messages are in flight, as many as the
   # worker handles in about 5 ms; while there are more, the inputs are held, so the streams wait.
   #
-  # An error is a separate message to this process, so that handling it undoes nothing else (as in `Situ.MapAsync`). The
-  # message at which Python failed is lost. With `:skip` and `:restart`, later messages without a result are sent again.
+  # The message at which Python failed is lost. With `:skip` and `:restart`, later messages without a result are sent
+  # again: to the next worker, or from the producer if this process was killed.
   use Situ.Component
 
   alias Situ.Error
   alias Situ.Python.{Launch, Program, Protocol, Requests, Window, Worker}
 
-  # A restart begins with a new state, so the process keeps here which inputs are open, the last time, and the messages
-  # to handle again.
-  @kept {__MODULE__, :kept}
   # After a worker could not be replaced, the next attempt follows in this time, ms.
   @retry 1_000
 
@@ -38,32 +35,14 @@ defmodule Situ.Python.Component do
        in_flight: :queue.new(),
        window: Window.new(opts.batch),
        last_time: nil,
-       lost: [],
+       progress: %{},
        held?: false
      }}
   end
 
   @impl true
-  def handle_start(context, state) do
-    {kept, entries} = Process.delete(@kept) || {%{}, []}
-    state = Map.merge(state, kept)
-
-    # After the end of all inputs, errors that were reported late restart the component once more.
-    if state.open == [] do
-      keep_for_restart(state)
-      {[], state}
-    else
-      lost = Enum.flat_map(state.lost, &group_results(state, {nil, &1, nil}, []))
-      {lost, %{state | lost: []} |> start_worker!(context) |> submit(entries)}
-    end
-  end
-
-  defp keep_for_restart(state) do
-    kept = {Map.take(state, [:open, :last_time, :lost]), :queue.to_list(state.in_flight)}
-    Process.put(@kept, kept)
-  end
-
-  defp start_worker!(state, context), do: state |> start_worker(context) |> Error.unwrap!()
+  def handle_start(context, state),
+    do: {[], state |> start_worker(context) |> Error.unwrap!()}
 
   defp start_worker(state, context) do
     with {:ok, launched} <- Launch.start_worker(state.opts, context),
@@ -71,66 +50,65 @@ defmodule Situ.Python.Component do
   end
 
   @impl true
-  def handle_message(input, message, context, state) do
-    hold_or_resume([], submit(state, [build_entry(input, message, context, state)]))
-  end
+  def handle_message(input, message, context, state),
+    do: handle_batch(input, [message], context, state)
 
-  @doc "Handles several messages of the only input."
+  @doc "Handles several messages of one input."
   @spec handle_batch(atom(), [Situ.Message.t()], Situ.Component.Context.t(), map()) ::
           {[Situ.Component.action()], map()}
   def handle_batch(input, messages, context, state) do
-    entries = Enum.map(messages, &build_entry(input, &1, context, state))
-    hold_or_resume([], submit(state, entries))
+    entries = Enum.map(messages, &{input, &1.originating_time, encode_message(input, &1, state)})
+    {actions, state} = state |> submit(entries) |> report_unsendable([], context)
+    report_progress(Enum.reverse(actions), state)
   end
 
-  defp build_entry(input, message, context, state),
-    do: {input, message.originating_time, encode_message(input, message, context, state)}
-
-  defp encode_message(input, message, context, state) do
+  defp encode_message(input, message, state) do
     case Protocol.encode_value(message.data) do
       {:ok, value} -> {Protocol.encode_head(state.numbers[input], message), value}
-      :error -> raise not_sendable_error(message.data, context)
+      :error -> not_sendable_error(message.data)
     end
   end
 
-  defp not_sendable_error(data, context) do
-    Error.new(:not_writable, "#{context.path} cannot send #{inspect(data, limit: 5)} to Python",
+  defp not_sendable_error(data) do
+    Error.new(:not_writable, "#{inspect(data, limit: 5)} cannot be sent to Python",
       why: "it contains functions, processes or references",
       fix: "map the stream to numbers, strings, lists, maps or structs first"
     )
   end
 
+  # Sends messages, and remembers them until their results arrive.
   defp submit(state, entries) do
-    if state.worker, do: Worker.send_messages(state.worker, Enum.map(entries, &elem(&1, 2)))
-    window = Window.count_sent(state.window, length(entries))
-    %{state | in_flight: Enum.reduce(entries, state.in_flight, &:queue.in/2), window: window}
+    sendable = for {_input, _time, {_head, _value} = message} <- entries, do: message
+    if state.worker, do: Worker.send_messages(state.worker, sendable)
+    window = Window.count_sent(state.window, length(sendable))
+    progress = Enum.reduce(entries, state.progress, &count_begun/2)
+    in_flight = Enum.reduce(entries, state.in_flight, &:queue.in/2)
+    %{state | in_flight: in_flight, window: window, progress: progress}
   end
+
+  defp count_begun({input, _time, _message}, progress),
+    do: Map.update(progress, input, {1, nil}, fn {n, until} -> {n + 1, until} end)
 
   # The worker takes no more messages than it handles soon.
-  defp hold_or_resume(actions, state) do
+  defp report_progress(actions, state) do
     hold? = state.worker == nil or state.window.full?
-    if hold? == state.held?, do: {actions, state}, else: set_hold(actions, hold?, state)
+    progress = for {input, {n, until}} <- state.progress, do: {:in_progress, input, n, until}
+    holds = if hold? == state.held?, do: [], else: hold_actions(state.open, hold?)
+    {actions ++ progress ++ holds, %{state | held?: hold?}}
   end
 
-  defp set_hold(actions, hold?, state) do
-    action = if hold?, do: :hold, else: :resume
-    {actions ++ for(input <- state.open, do: {action, input}), %{state | held?: hold?}}
-  end
+  defp hold_actions(inputs, hold?),
+    do: for(input <- inputs, do: {if(hold?, do: :hold, else: :resume), input})
 
   @impl true
   def handle_info({:situ_python, worker, event}, context, %{worker: worker} = state) do
     {actions, state} = handle_event(event, context, state)
-    hold_or_resume(actions, state)
+    report_progress(actions, state)
   end
 
   # A hold ends by itself after 20 ms.
   def handle_info({:hold_ended, input}, _context, state),
     do: {if(state.held?, do: [{:hold, input}], else: []), state}
-
-  def handle_info({:situ_python_failed, error}, _context, state) do
-    if state.opts.errors == :restart, do: keep_for_restart(state)
-    raise error
-  end
 
   def handle_info({:EXIT, worker, reason}, context, %{worker: worker} = state)
       when reason != :normal,
@@ -140,12 +118,11 @@ defmodule Situ.Python.Component do
   def handle_info(:situ_python_again, context, %{worker: nil, open: [_ | _]} = state) do
     case start_again(state, context) do
       {:ok, state} ->
-        hold_or_resume([], state)
+        report_progress([], state)
 
       {:error, error} ->
-        send(self(), {:situ_python_failed, add_subject(error, context, "")})
         Process.send_after(self(), :situ_python_again, @retry)
-        {[], state}
+        {[{:error, add_subject(error, context, "")}], state}
     end
   end
 
@@ -156,29 +133,47 @@ defmodule Situ.Python.Component do
     take_results(results, [], context, %{state | window: window})
   end
 
-  defp handle_event({:ended, error}, context, state),
-    do: handle_failure(%{state | worker: nil}, error, context)
+  defp handle_event({:ended, error}, context, state) do
+    {actions, state} = replace_worker([], error, context, %{state | worker: nil})
+    {Enum.reverse(actions), state}
+  end
 
   defp handle_event(_event, _context, state), do: {[], state}
 
+  # `actions` are reversed.
   defp take_results([], actions, _context, state), do: {Enum.reverse(actions), state}
 
   defp take_results([{:ok, emitted} | rest], actions, context, state) do
     grouped = group_results(state, oldest(state), emitted)
     state = state |> drop_oldest() |> record_times(grouped)
-    take_results(rest, Enum.reverse(grouped, actions), context, state)
+    {actions, state} = report_unsendable(state, Enum.reverse(grouped, actions), context)
+    take_results(rest, actions, context, state)
   end
 
-  defp take_results([{:error, error} | rest], actions, context, state) do
-    if state.opts.errors == :skip do
-      send(self(), {:situ_python_failed, describe_error(error, oldest(state), context)})
-      lost = group_results(state, oldest(state), [])
-      take_results(rest, lost ++ actions, context, drop_oldest(state))
-    else
-      # After an exception, Python ignores further messages.
-      stop_worker(state)
-      {lost, state} = handle_failure(%{state | worker: nil}, error, context)
-      {Enum.reverse(actions, lost), state}
+  defp take_results([{:error, error} | rest], actions, context, %{opts: %{errors: :skip}} = state) do
+    {actions, state} = report_error(actions, error, context, state)
+    take_results(rest, actions, context, state)
+  end
+
+  # After an exception, Python ignores further messages.
+  defp take_results([{:error, error} | _rest], actions, context, state) do
+    stop_worker(state)
+    {actions, state} = replace_worker(actions, error, context, %{state | worker: nil})
+    {Enum.reverse(actions), state}
+  end
+
+  # Reports that the oldest message is lost, and the messages after it that could not be sent.
+  defp report_error(actions, error, context, state) do
+    entry = oldest(state)
+    lost = Enum.reverse(group_results(state, entry, []), actions)
+    actions = [{:error, describe_error(error, entry, context)} | lost]
+    state |> drop_oldest() |> report_unsendable(actions, context)
+  end
+
+  defp report_unsendable(state, actions, context) do
+    case oldest(state) do
+      {_input, _time, %Error{} = error} -> report_error(actions, error, context, state)
+      _sent_or_none -> {actions, state}
     end
   end
 
@@ -189,26 +184,16 @@ defmodule Situ.Python.Component do
 
   defp group_results(_state, _entry, emitted), do: emitted
 
-  # With `:skip`, the component keeps its state and gets a new worker. With `:restart`, the runtime starts it again.
-  defp handle_failure(state, error, context) do
-    entry = oldest(state)
-    send(self(), {:situ_python_failed, describe_error(error, entry, context)})
-    lost = group_results(state, entry, [])
-    state = drop_oldest(state)
-
-    case state.opts.errors do
-      :skip ->
-        send(self(), :situ_python_again)
-        {lost, state}
-
-      # A restart discards the current outputs.
-      _restart_or_stop ->
-        {[], %{state | lost: state.lost ++ for({_output, time, _} <- lost, do: time)}}
-    end
+  # The next worker begins with the message after the one at which this worker has failed.
+  defp replace_worker(actions, error, context, state) do
+    send(self(), :situ_python_again)
+    report_error(actions, error, context, state)
   end
 
   defp start_again(state, context) do
-    empty = %{state | in_flight: :queue.new(), window: Window.new(state.opts.batch)}
+    window = Window.new(state.opts.batch)
+    progress = Map.new(state.progress, fn {input, {_n, until}} -> {input, {0, until}} end)
+    empty = %{state | in_flight: :queue.new(), window: window, progress: progress}
 
     with {:ok, started} <- start_worker(empty, context),
          do: {:ok, submit(started, :queue.to_list(state.in_flight))}
@@ -222,13 +207,16 @@ defmodule Situ.Python.Component do
   end
 
   defp drop_oldest(state) do
-    if :queue.is_empty(state.in_flight),
-      do: state,
-      else: %{
+    case :queue.out(state.in_flight) do
+      {:empty, _in_flight} ->
         state
-        | in_flight: :queue.drop(state.in_flight),
-          window: Window.count_done(state.window)
-      }
+
+      {{:value, {input, time, message}}, in_flight} ->
+        sent? = is_tuple(message)
+        window = if sent?, do: Window.count_done(state.window), else: state.window
+        progress = Map.update!(state.progress, input, fn {n, _until} -> {n - 1, time} end)
+        %{state | in_flight: in_flight, window: window, progress: progress}
+    end
   end
 
   defp record_times(state, emitted) do
@@ -265,7 +253,7 @@ defmodule Situ.Python.Component do
   end
 
   defp finish(_time, _context, %{opts: %{errors: :stop}} = state), do: {[], state}
-  # The worker has failed, and the component has not been restarted yet.
+  # The worker has failed, and has not been replaced yet.
   defp finish(time, context, state) do
     finish(time, context, state |> start_again(context) |> Error.unwrap!())
   end
@@ -314,7 +302,7 @@ defmodule Situ.Python.Component do
   end
 
   defp close_result({:error, error}, _time, context, state),
-    do: handle_failure(%{state | in_flight: :queue.new()}, error, context)
+    do: {[{:error, describe_error(error, nil, context)}], %{state | in_flight: :queue.new()}}
 
   @impl true
   def terminate(_reason, state), do: stop_worker(state)
