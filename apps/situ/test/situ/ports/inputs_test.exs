@@ -68,7 +68,7 @@ defmodule Situ.Ports.InputsTest do
       assert (next && Input.head_time(next)) == oldest
 
       assert Enum.all?(settled, fn {_, input} ->
-               match?(%{handled: {0, 0, 0}, window: %{owed: 0}}, input)
+               match?(%{handled: {0, 0, 0, 0}, window: %{owed: 0}}, input)
              end)
     end
   end
@@ -101,5 +101,44 @@ defmodule Situ.Ports.InputsTest do
   test "the cost of a message does not grow with four thousand inputs" do
     few = work(100)
     assert work(4_000) < 4 * few
+  end
+
+  property "messages in progress are published when they are finished, and requested once" do
+    forall {count, steps} <- {integer(1, 20), list({integer(0, 20), integer(0, 1)})} do
+      inputs = Enum.reduce(1..count, inputs(1), &push(&2, 1, &1))
+      inputs = Enum.reduce(1..count, inputs, fn _, inputs -> step(:take, inputs) end)
+
+      inputs =
+        Enum.reduce(steps, inputs, fn {in_progress, settle?}, inputs ->
+          finished = count - min(in_progress, count)
+          inputs = Inputs.put_progress(inputs, :in, {in_progress, finished})
+          if settle? == 1, do: step(:settle, inputs), else: inputs
+        end)
+
+      least =
+        steps
+        |> Enum.filter(&(elem(&1, 1) == 1))
+        |> Enum.map(&elem(&1, 0))
+        |> Enum.min(fn -> count end)
+
+      %{counters: counters} = Inputs.single_input(inputs)
+      # What is published once remains published.
+      assert Input.taken_count(Inputs.single_input(inputs)) == max(count - least, 0)
+
+      done =
+        inputs |> Inputs.forget_progress() |> then(&step(:settle, &1)) |> Inputs.single_input()
+
+      assert Input.taken_count(done) == count
+      assert Counters.last_time(counters) == count
+      assert Enum.sum(requests()) + done.window.owed == count
+    end
+  end
+
+  defp requests do
+    receive do
+      {:"$gen_producer", _from, {:ask, n}} -> [n | requests()]
+    after
+      0 -> []
+    end
   end
 end
