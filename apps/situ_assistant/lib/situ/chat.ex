@@ -93,7 +93,6 @@ defmodule Situ.Chat do
     jobs: [],
     tokens_used: 0,
     closing?: false,
-    raising?: false,
     times: %{}
   ]
 
@@ -219,19 +218,10 @@ defmodule Situ.Chat do
   def handle_info({:situ_chat, ref, event}, _context, state),
     do: state |> update_job(ref, event) |> emit_oldest([])
 
-  # The error is raised in a separate message, so that its handling does not discard other results.
-  def handle_info({:situ_chat_failed, error}, _context, _state), do: raise(error)
-
-  def handle_info(:situ_chat_raised, _context, state),
-    do: emit_oldest(%{state | raising?: false}, [])
-
   def handle_info({:hold_ended, :in}, _context, state), do: hold_or_resume(state, [])
 
   # The input is closed, so the component waits for the questions in flight, one event at a time.
   def handle_info({:continue, :wait}, _context, %{jobs: []} = state), do: {[], state}
-
-  def handle_info({:continue, :wait}, _context, %{raising?: true} = state),
-    do: {[{:continue, :wait}], state}
 
   def handle_info({:continue, :wait}, _context, state) do
     receive do
@@ -270,7 +260,6 @@ defmodule Situ.Chat do
   defp add_job_event(job, {:call, _} = event), do: %{job | events: [event | job.events]}
 
   # Only the oldest question emits; events of the others are kept until it has ended.
-  defp emit_oldest(%{raising?: true} = state, actions), do: hold_or_resume(state, actions)
   defp emit_oldest(%{jobs: []} = state, actions), do: hold_or_resume(state, actions)
 
   defp emit_oldest(%{jobs: [job | rest]} = state, actions) do
@@ -305,14 +294,12 @@ defmodule Situ.Chat do
 
   defp emit_failure(state, job, error, actions) do
     meta = Map.put(error.meta, :originating_time, job.time)
-    send(self(), {:situ_chat_failed, %{error | meta: meta}})
-    send(self(), :situ_chat_raised)
-    hold_or_resume(%{state | raising?: true}, actions)
+    emit_oldest(state, [{:error, %{error | meta: meta}} | actions])
   end
 
   # At the limit, the input is held so that its producer waits.
-  defp hold_or_resume(%{closing?: true, jobs: jobs, raising?: raising?} = state, actions) do
-    waiting = if jobs != [] or raising?, do: [{:continue, :wait}], else: []
+  defp hold_or_resume(%{closing?: true, jobs: jobs} = state, actions) do
+    waiting = if jobs != [], do: [{:continue, :wait}], else: []
     {Enum.reverse(actions) ++ waiting, state}
   end
 

@@ -389,8 +389,13 @@ defmodule Situ.ChatTest do
       {{:ok, _}, got} = chat(["a", "b", "c"], server, failures: :emit)
       assert [{:failed, 1_000, %{code: :refused}}] = for({:failed, _, _} = m <- got, do: m)
       assert for({:out, t, _} <- got, do: t) == [0, 2_000]
-      {{:ok, _}, got} = chat(["a", "b", "c"], server, on_error: :skip)
-      assert for({:out, t, _} <- got, do: t) == [0, 2_000]
+
+      # The questions that are in flight at the same time are answered.
+      for on_error <- [:skip, :restart] do
+        {{:ok, _}, got} = chat(["a", "b", "c"], server, on_error: on_error, concurrency: 3)
+        assert for({:out, t, _} <- got, do: t) == [0, 2_000]
+      end
+
       {{:error, error}, got} = chat(["a", "b", "c"], server, [])
       assert Exception.message(error) =~ "no b"
       assert for({:out, t, _} <- got, do: t) == [0]
