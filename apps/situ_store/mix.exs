@@ -13,7 +13,7 @@ defmodule Situ.Store.MixProject do
   def application do
     Situ.MixApp.application([],
       mod: {Situ.Store.Application, []},
-      env: [recording_formats: [Situ.Store.Csv]]
+      env: [recording_formats: [Situ.Store.Csv, Situ.Store.S3]]
     )
   end
 end

@@ -71,6 +71,9 @@ pub struct ColumnQuery {
 /// Reads columns. Damage ends them; damage in the first chunk is returned as an error.
 pub fn read_columns(reader: &Reader, query: &ColumnQuery) -> Result<ColumnResult> {
     let (mut next, mut size) = (query.ordinal, 0);
+    if reader.lacks_chunks(query.stream, next, query.to, u64::MAX, query.bytes) {
+        return Err(Error::Absent);
+    }
     let mut found: Option<(Kind, Columns)> = None;
     while size < query.bytes {
         let entry = match reader.entry_at(query.stream, next) {

@@ -36,6 +36,8 @@ pub enum Error {
     Damaged(String, u64, String),
     /// An extent file is missing.
     MissingExtent(String),
+    /// A mirror lacks bytes that this operation needs. They were noted (`residency`).
+    Absent,
     /// A simulated crash in a test.
     Crash,
 }
@@ -71,6 +73,7 @@ impl fmt::Display for Error {
                 write!(f, "{file} is damaged at byte {offset}: {why}")
             }
             Error::MissingExtent(file) => write!(f, "the file {file} is missing"),
+            Error::Absent => f.write_str("the data are not on this machine yet"),
             Error::Crash => f.write_str("a simulated crash"),
         }
     }

@@ -125,6 +125,11 @@ pub fn file_name(lane: u8, number: u32) -> String {
     format!("{lane}-{number:06}.situ")
 }
 
+/// Returns the file name of an extent in a mirror.
+pub fn mirror_name(lane: u8, number: u32) -> String {
+    file_name(lane, number).replace(".situ", ".mirror")
+}
+
 /// The writer of one lane: its current extent and its position in it.
 #[derive(Debug)]
 pub struct Lane {

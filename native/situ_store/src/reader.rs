@@ -7,6 +7,7 @@ mod directory;
 mod gaps;
 mod levels;
 mod maps;
+mod residency;
 mod statistics;
 mod summary;
 mod tracks;
@@ -29,6 +30,7 @@ use maps::Extents;
 pub(crate) use chunk::matches_header;
 pub use chunk::Chunk;
 pub(crate) use maps::{file_length, map_file};
+pub use residency::{has_absent, take_absent, AbsentRange};
 pub use statistics::Statistics;
 pub use tracks::{Line, TrackCache, TrackData};
 

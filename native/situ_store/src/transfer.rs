@@ -1,7 +1,7 @@
 //! Copies messages from one store to another without decoding payloads, so unknown types are copied, too.
 
 use crate::chunk::{Input, Value};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::format::Encoding;
 use crate::reader::Reader;
 use crate::writer::Writer;
@@ -31,6 +31,10 @@ pub fn copy_messages(
     codec: impl Fn(u16) -> u16,
 ) -> Result<(u64, u64)> {
     let (mut next, mut count, mut size) = (range.ordinal, 0, 0);
+    let reader = range.reader;
+    if reader.lacks_chunks(range.stream, next, range.to, u64::MAX, range.bytes) {
+        return Err(Error::Absent);
+    }
     while size < range.bytes {
         let Some(entry) = range.reader.entry_at(range.stream, next)? else {
             break;

@@ -2,10 +2,12 @@
 
 use rustler::{Encoder, Env, Term};
 use situ_store::columns::{read_columns, ColumnQuery, ColumnResult, Kind};
+use situ_store::Reader;
 
 use crate::atoms;
 use crate::errors::encode_error;
 use crate::reading::Handle;
+use crate::residency::with_bytes;
 use crate::terms::encode_binary;
 
 /// Returns plain numbers from `ordinal` on, no later than `to`, from about `bytes` of the store: `{:ok, {kind,
@@ -31,7 +33,11 @@ fn reader_columns<'a>(
         to,
         bytes,
     };
-    match read_columns(reader, &query) {
+    with_bytes(env, handle.store(), || encode_columns(env, reader, &query))
+}
+
+fn encode_columns<'a>(env: Env<'a>, reader: &Reader, query: &ColumnQuery) -> Term<'a> {
+    match read_columns(reader, query) {
         Ok(ColumnResult::Numbers(kind, columns, next)) => {
             let kind = match kind {
                 Kind::Int => atoms::integer(),

@@ -22,6 +22,7 @@ pub fn encode_error<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
         Error::Closed => atoms::closed().encode(env),
         Error::Damaged(file, offset, why) => (atoms::damaged(), file, offset, why).encode(env),
         Error::MissingExtent(file) => (atoms::missing_extent(), file).encode(env),
+        Error::Absent => atoms::absent().encode(env),
         Error::Crash => atoms::crash().encode(env),
     };
     (atoms::error(), reason).encode(env)

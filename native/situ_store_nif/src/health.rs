@@ -8,6 +8,7 @@ use crate::atoms;
 use crate::errors::encode_error;
 use crate::paths::FilePath;
 use crate::reading::Handle;
+use crate::residency::with_bytes;
 
 fn encode_damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
     found
@@ -34,10 +35,12 @@ fn reader_damage(handle: Handle) -> Vec<(String, u64, String)> {
 /// Checks the index entries `from..from + n` and their chunks: `{:ok, [{file, offset, why}], entries}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a> {
-    match handle.0.verify_entries(from, n) {
-        Ok((found, total)) => (atoms::ok(), encode_damage(found), total).encode(env),
-        Err(error) => encode_error(env, &error),
-    }
+    with_bytes(env, handle.store(), || {
+        match handle.0.verify_entries(from, n) {
+            Ok((found, total)) => (atoms::ok(), encode_damage(found), total).encode(env),
+            Err(error) => encode_error(env, &error),
+        }
+    })
 }
 
 /// Repairs a store: `{:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}}`. With `dry` it only reports.

@@ -10,6 +10,7 @@ mod messages;
 mod parts;
 mod paths;
 mod reading;
+mod residency;
 mod rows;
 mod sharing;
 mod terms;
@@ -56,6 +57,7 @@ mod atoms {
         closed,
         damaged,
         missing_extent,
+        absent,
         crash,
         unknown,
         undecodable,

@@ -3,11 +3,13 @@
 use rustler::{Binary, Encoder, Env, Term};
 use situ_store::etf;
 use situ_store::format::LANE_DATA;
+use situ_store::Error;
 
 use crate::atoms;
 use crate::errors::encode_error;
 use crate::parts::Part;
 use crate::reading::{Handle, QUICK_ENTRIES};
+use crate::residency::with_bytes;
 use crate::terms::{decode_term, Decoded};
 
 /// Returns messages from `ordinal` on, until one is later than `to`, or there are at least `most` messages or
@@ -32,7 +34,13 @@ fn reader_read<'a>(
         bytes,
         quick: false,
     };
-    read_messages(env, &handle, stream, ordinal, &limits)
+    let bytes = if bytes == 0 { u64::MAX } else { bytes };
+    with_bytes(env, handle.store(), || {
+        if handle.0.lacks_chunks(stream, ordinal, to, most, bytes) {
+            return encode_error(env, &Error::Absent);
+        }
+        read_messages(env, &handle, stream, ordinal, &limits)
+    })
 }
 
 /// Reads like `reader_read`, but on a normal scheduler, which saves two thread switches. It reads only messages

@@ -14,6 +14,7 @@ use situ_store::{pyramid, Reader};
 use crate::atoms;
 use crate::errors::encode_error;
 use crate::paths::FilePath;
+use crate::residency::with_bytes;
 use crate::terms::encode_binary;
 
 /// A reader, terms derived from its catalog, and the processes that wait for its writer.
@@ -155,6 +156,12 @@ fn reader_count(handle: Handle, stream: u32) -> u64 {
 /// chunks}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_statistics<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
+    with_bytes(env, handle.store(), || {
+        encode_statistics(env, &handle, stream)
+    })
+}
+
+fn encode_statistics<'a>(env: Env<'a>, handle: &Handle, stream: u32) -> Term<'a> {
     match handle.0.read_statistics(stream) {
         Ok(None) => (atoms::ok(), atoms::nil()).encode(env),
         Ok(Some(s)) => {
@@ -199,15 +206,19 @@ fn reader_seek<'a>(env: Env<'a>, handle: Handle, stream: u32, time: i64) -> Term
     if let Err(error) = handle.0.refresh() {
         return encode_error(env, &error);
     }
-    match handle.0.ordinal_from(stream, time) {
-        Ok(ordinal) => (atoms::ok(), ordinal).encode(env),
-        Err(error) => encode_error(env, &error),
-    }
+    with_bytes(env, handle.store(), || {
+        match handle.0.ordinal_from(stream, time) {
+            Ok(ordinal) => (atoms::ok(), ordinal).encode(env),
+            Err(error) => encode_error(env, &error),
+        }
+    })
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
-fn reader_gaps(handle: Handle, stream: u32, least: i64) -> Vec<(i64, i64)> {
-    handle.0.find_gaps(stream, least)
+fn reader_gaps<'a>(env: Env<'a>, handle: Handle, stream: u32, least: i64) -> Term<'a> {
+    with_bytes(env, handle.store(), || {
+        handle.0.find_gaps(stream, least).encode(env)
+    })
 }
 
 /// Returns `{:ok, [{start, min, max, last, count}]}` with bins of 2^level ns.
@@ -220,10 +231,12 @@ fn reader_summary<'a>(
     to: i64,
     level: u8,
 ) -> Term<'a> {
-    match handle.0.read_summary(stream, from, to, level) {
-        Ok(found) => (atoms::ok(), encode_bins(env, &found)).encode(env),
-        Err(error) => encode_error(env, &error),
-    }
+    with_bytes(env, handle.store(), || {
+        match handle.0.read_summary(stream, from, to, level) {
+            Ok(found) => (atoms::ok(), encode_bins(env, &found)).encode(env),
+            Err(error) => encode_error(env, &error),
+        }
+    })
 }
 
 /// Encodes bins as `{start, min, max, last, count}` and leaves out those without a number.

@@ -5,10 +5,12 @@ use std::collections::HashMap;
 use rustler::{Encoder, Env, Term};
 use situ_store::reader::{lock_mutex, Line};
 use situ_store::tracks::{Names, MESSAGE_KEY};
+use situ_store::Reader;
 
 use crate::atoms;
 use crate::errors::encode_error;
 use crate::reading::{encode_bins, Handle};
+use crate::residency::with_bytes;
 use crate::terms::{decode_term, Decoded};
 
 /// Returns counts and tracks in bins of 2^level ns: `{:ok, [{start, n}], [{key, track}]}`. A track is `{:numbers,
@@ -24,10 +26,23 @@ fn reader_tracks<'a>(
     level: u8,
     most: usize,
 ) -> Term<'a> {
-    let reader = handle.store();
-    if let Err(error) = reader.refresh() {
+    if let Err(error) = handle.store().refresh() {
         return encode_error(env, &error);
     }
+    let span = (from, to);
+    with_bytes(env, handle.store(), || {
+        encode_tracks(env, handle.store(), stream, span, level, most)
+    })
+}
+
+fn encode_tracks<'a>(
+    env: Env<'a>,
+    reader: &Reader,
+    stream: u32,
+    (from, to): (i64, i64),
+    level: u8,
+    most: usize,
+) -> Term<'a> {
     let cache = reader.track_cache(stream);
     let mut cache = lock_mutex(&cache);
     let data = match reader.read_tracks(stream, from, to, level, most, &mut cache) {

@@ -4,6 +4,7 @@ use rustler::{Env, Term};
 use situ_store::transfer::{copy_messages, MessageRange};
 
 use crate::reading::Handle as Reader;
+use crate::residency::with_bytes;
 use crate::writing::{encode_result, with_writer, Handle as Writer};
 
 /// Copies messages of `stream` from `ordinal` on, no later than `to`, to stream `target` of the writer and commits
@@ -36,10 +37,12 @@ fn store_transfer<'a>(
     if let Err(error) = reader.store().refresh() {
         return crate::errors::encode_error(env, &error);
     }
-    encode_result(
-        env,
-        with_writer(&writer, |writer| {
-            copy_messages(&range, writer, target, number)
-        }),
-    )
+    with_bytes(env, reader.store(), || {
+        encode_result(
+            env,
+            with_writer(&writer, |writer| {
+                copy_messages(&range, writer, target, number)
+            }),
+        )
+    })
 }

@@ -45,6 +45,7 @@ defmodule Situ.Store do
     Maintenance,
     PartReader,
     Query,
+    S3,
     SegmentedRecording,
     Segments,
     Summary
@@ -314,14 +315,23 @@ defmodule Situ.Store do
   ]
 
   @doc """
-  Lists all stores in a folder. A segmented recording is listed as `ROOT/NAME`.
+  Lists all stores in a folder, or the recordings at an address. A segmented recording is listed as `ROOT/NAME`.
 
   #{Options.docs(@list_options)}
   """
   @spec list(Path.t(), keyword()) :: [Path.t()]
   def list(root, opts \\ []) do
     opts = Options.validate!(opts, @list_options)
-    paths = Folder.list_stores(Path.expand(root), opts[:recursive])
+
+    case Formats.for_address(root) do
+      nil -> list_folder(Path.expand(root), opts)
+      S3 -> Situ.Error.unwrap!(S3.list(root, recursive: opts[:recursive]))
+      _ -> Formats.list_recordings(root)
+    end
+  end
+
+  defp list_folder(root, opts) do
+    paths = Folder.list_stores(root, opts[:recursive])
     if opts[:segments], do: paths, else: Segments.combine_segments(paths)
   end
 

@@ -86,7 +86,7 @@ pub(crate) fn matches_header(entry: &Entry, header: &ChunkHeader) -> bool {
 impl Reader {
     /// Reads and checks the header of an entry's chunk, but not its body.
     pub fn read_chunk_header(&self, entry: &Entry) -> Result<ChunkHeader> {
-        let map = self.extents.get(entry.lane, entry.extent)?;
+        let map = self.extents.get_chunk(entry, CHUNK_HEADER as u64)?;
         let at = usize::try_from(entry.offset).ok();
         let bytes = at.and_then(|at| map.get(at..));
         let header = bytes
@@ -103,7 +103,7 @@ impl Reader {
 
     /// Reads an entry's chunk and checks it. The body of a large chunk is checked only with `body_too`.
     pub fn read_checked_chunk(&self, entry: &Entry, body_too: bool) -> Result<Chunk> {
-        let map = self.extents.get(entry.lane, entry.extent)?;
+        let map = self.extents.get_chunk(entry, entry.length.into())?;
         if entry.lane == LANE_LARGE && !body_too {
             if let Some(chunk) = self.read_large_head(entry, &map, true) {
                 return Ok(chunk);
@@ -164,6 +164,9 @@ impl Reader {
     /// `None` otherwise.
     pub fn quick_chunk(&self, entry: &Entry) -> Option<Result<Chunk>> {
         let map = self.extents.cached_map(entry.lane, entry.extent)?;
+        if self.is_mirror() && self.extents.get_chunk(entry, entry.length.into()).is_err() {
+            return None;
+        }
         if entry.lane == LANE_LARGE {
             // Building a term of that size takes long.
             let chunk = match self.verify_large {

@@ -2,7 +2,7 @@
 
 use super::levels::Span;
 use super::tracks::TrackCache;
-use super::{lock_mutex, Reader};
+use super::{has_absent, lock_mutex, Reader};
 use crate::format::*;
 
 impl Reader {
@@ -14,6 +14,9 @@ impl Reader {
         let least = least.max(1);
         let spans = self.possible_gaps(stream, least);
         let mut gaps = Vec::new();
+        if has_absent() {
+            return gaps;
+        }
         let mut last = None;
         let mut note_step = |from: Option<i64>, to: i64| {
             if let Some(from) = from.filter(|from| to.saturating_sub(*from) >= least) {

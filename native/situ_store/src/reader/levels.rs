@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use super::{lock_mutex, Chunk, Reader};
+use super::{has_absent, lock_mutex, Chunk, Reader};
 use crate::format::*;
 use crate::pyramid::{self, Builder, Fold, Folder};
 
@@ -120,7 +120,8 @@ impl Reader {
         let mut rest = span;
         for level in self.stored_levels::<P>(stream, k).into_iter().rev() {
             rest.from = self.visit_stored_bins(stream, level, rest, pyramid, |bin| folder.add(bin));
-            if rest.from > rest.to {
+            // Without these bins, finer ones and messages would be fetched, too.
+            if rest.from > rest.to || has_absent() {
                 return folder.bins;
             }
         }
@@ -150,6 +151,9 @@ impl Reader {
         let width = 1i64 << level;
         let mut at = span.from;
         for entry in self.entries_between(stream, P::LEVEL_OFFSET + level, span) {
+            if !self.has_chunk(&entry) {
+                continue;
+            }
             // Damaged bins do not damage the recording: finer levels and the messages contain the same information.
             let Ok(chunk) = self.read_chunk(&entry) else {
                 return at;
@@ -231,6 +235,10 @@ impl Reader {
         memory_pyramid: &mut MemoryPyramid<P::Bin>,
     ) {
         let count = self.message_count(stream);
+        let seen = memory_pyramid.seen;
+        if self.lacks_chunks(stream, seen, i64::MAX, u64::MAX, u64::MAX) {
+            return;
+        }
         while memory_pyramid.seen < count {
             let Ok(Some(entry)) = self.entry_at(stream, memory_pyramid.seen) else {
                 break;

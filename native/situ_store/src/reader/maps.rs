@@ -14,6 +14,7 @@ use std::io::IoSliceMut;
 use memmap2::{MmapOptions, UncheckedAdvice};
 use rustix::io::{preadv2, Errno, ReadWriteFlags};
 
+use super::residency::{self, AbsentRange, Marks};
 use crate::error::{Error, Result};
 use crate::extent;
 use crate::format::*;
@@ -51,6 +52,8 @@ pub(crate) fn file_length(file: &File, what: &str) -> Result<u64> {
 pub(super) struct Extents {
     dir: PathBuf,
     id: [u8; 16],
+    /// Whether the store is a mirror.
+    pub mirror: bool,
     maps: RwLock<HashMap<(u8, u32), Arc<Map>>>,
     window: Mutex<Window>,
     /// The file of large messages that was read last. Only one is kept open, so that long recordings do not use up
@@ -64,6 +67,7 @@ const HEAD: usize = 256;
 impl Extents {
     pub fn new(dir: PathBuf, id: [u8; 16]) -> Self {
         Extents {
+            mirror: dir.join(residency::MIRROR).exists(),
             dir,
             id,
             maps: RwLock::default(),
@@ -131,8 +135,56 @@ impl Extents {
         Ok(maps.entry((lane, number)).or_insert(map).clone())
     }
 
+    /// Returns whether a mirror has these bytes of an extent; notes them otherwise. The extent is mapped again for the
+    /// next operation, because its file may have been replaced by an empty one.
+    fn has_bytes(&self, (lane, extent): (u8, u32), map: &Map, offset: u64, length: u64) -> bool {
+        let marks = Marks::find(map);
+        if marks.is_some_and(|marks| marks.covers(map, offset, length)) {
+            return true;
+        }
+        let mut maps = self.maps.write().unwrap_or_else(|p| p.into_inner());
+        maps.remove(&(lane, extent));
+        residency::note_absent(AbsentRange {
+            lane,
+            extent,
+            offset,
+            length,
+        });
+        false
+    }
+
+    /// Returns the extent's map if the first `length` bytes of an entry's chunk can be read now.
+    pub fn get_chunk(&self, entry: &Entry, length: u64) -> Result<Arc<Map>> {
+        let map = self.get(entry.lane, entry.extent)?;
+        let extent = (entry.lane, entry.extent);
+        if self.mirror && !self.has_bytes(extent, &map, entry.offset, length) {
+            return Err(Error::Absent);
+        }
+        Ok(map)
+    }
+
+    /// Returns whether a mirror has an entry's chunk; notes its bytes otherwise.
+    pub fn has_chunk(&self, entry: &Entry) -> bool {
+        match self.get_chunk(entry, entry.length.into()) {
+            // The header of the extent is missing, too.
+            Err(Error::Absent) => {
+                residency::note_absent(AbsentRange {
+                    lane: entry.lane,
+                    extent: entry.extent,
+                    offset: entry.offset,
+                    length: entry.length.into(),
+                });
+                false
+            }
+            _ => true,
+        }
+    }
+
     fn open_map(&self, lane: u8, number: u32) -> Result<Map> {
-        let name = extent::file_name(lane, number);
+        let name = match self.mirror {
+            true => extent::mirror_name(lane, number),
+            false => extent::file_name(lane, number),
+        };
         let file = File::open(self.dir.join(&name)).map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => Error::MissingExtent(name.clone()),
             _ => Error::io(format!("open {name}"), e),
@@ -142,6 +194,9 @@ impl Extents {
             return Err(Error::damaged(name, 0, "shorter than an extent's header"));
         }
         let map = map_file(&file, 0, length, &name)?;
+        if self.mirror && !self.has_bytes((lane, number), &map, 0, EXTENT_HEADER as u64) {
+            return Err(Error::Absent);
+        }
         check_extent_header(&map, &self.id, lane, number)
             .map_err(|why| Error::damaged(name, 0, why))?;
         Ok(map)

@@ -92,7 +92,7 @@ impl Reader {
                     .map_err(|why| self.chunk_error(&entry, why))
             });
             match checked {
-                Ok(()) => {}
+                Ok(()) | Err(Error::Absent) => {}
                 Err(Error::Damaged(file, offset, why)) => found.push(Damage { file, offset, why }),
                 Err(Error::MissingExtent(file)) => found.push(Damage {
                     file,

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use super::levels::{self, MemoryPyramid, Pyramid, Span};
-use super::{lock_mutex, Chunk, Reader};
-use crate::error::Result;
+use super::{has_absent, lock_mutex, Chunk, Reader};
+use crate::error::{Error, Result};
 use crate::format::*;
 use crate::pyramid::Bin;
 use crate::tracks::{self, Names, Track, TrackBin, TrackValue, MESSAGE_KEY};
@@ -127,6 +127,9 @@ impl Reader {
         let k = k.min(62);
         let span = Span { from, to };
         let bins = self.fold_bins(stream, span.extend_to_bins(k), k, cache);
+        if has_absent() {
+            return Err(Error::Absent);
+        }
         let mut keys: Vec<(u32, bool)> = Vec::new();
         for (key, track) in bins.iter().flat_map(|bin| &bin.tracks) {
             let kind = (*key, matches!(track, Track::Numbers { .. }));

@@ -36,6 +36,7 @@ defmodule Situ.CLI.Commands do
     Store.Maintenance,
     Store.Export,
     Store.Exchange,
+    Store.ObjectStorage,
     Dataset,
     Dataset.Versions,
     Query,

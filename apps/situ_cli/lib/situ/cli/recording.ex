@@ -39,14 +39,23 @@ defmodule Situ.CLI.Recording do
   @spec disk_size(Store.t()) :: non_neg_integer()
   def disk_size(store) do
     case Store.segments(store) do
-      [] -> path_size(store.path)
+      [] -> store |> files_path() |> path_size()
       segments -> segments |> Enum.map(&path_size(&1.path)) |> Enum.sum()
     end
   end
 
-  @doc "Returns the size of a file, or of the files in a folder, in bytes."
+  # The files of a recording in object storage are in a cache.
+  defp files_path(%{state: %Store.NativeFormat{path: path}}), do: path
+  defp files_path(store), do: store.path
+
+  @doc """
+  Returns the size of a file, or of the files in a folder, in bytes. For a folder of the cache of object storage, it is
+  the size of the remote recording.
+  """
   @spec path_size(Path.t()) :: non_neg_integer()
-  def path_size(path) do
+  def path_size(path), do: Store.S3.remote_bytes(path) || local_size(path)
+
+  defp local_size(path) do
     # Path.wildcard/1 fails on names that are not UTF-8.
     files =
       case File.ls(path) do

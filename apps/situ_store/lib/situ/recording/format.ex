@@ -33,6 +33,11 @@ defmodule Situ.Recording.Format do
   """
   @callback schemes() :: [String.t()]
   @doc """
+  Returns the local path at which the recording of an address opens, for formats whose recordings are fetched to this
+  machine. `open/2` is not called for such an address.
+  """
+  @callback locate(address :: String.t()) :: {:ok, Path.t()} | Situ.Recording.error()
+  @doc """
   Resolves `path`, a folder or the name of one, to a recording that is a folder, or returns `nil`. `open/2` receives the
   result.
   """
@@ -45,5 +50,5 @@ defmodule Situ.Recording.Format do
   """
   @callback import_options(times :: :header | :record) :: keyword()
 
-  @optional_callbacks schemes: 0, resolve: 1, list_recordings: 1, import_options: 1
+  @optional_callbacks schemes: 0, locate: 1, resolve: 1, list_recordings: 1, import_options: 1
 end

@@ -3,6 +3,7 @@ defmodule Situ.Store.CatalogCache do
   # Caches the parsed catalog of a store until it has new records: each stream by name, all streams together, and the
   # facts about the store itself.
   alias Situ.Store.{Catalog, Folder, Native, StreamInfo}
+  alias Situ.Store.S3.Mirror
 
   @catalog 0
   @read_bytes 4 * 1024 * 1024
@@ -40,7 +41,7 @@ defmodule Situ.Store.CatalogCache do
   end
 
   defp build_terms(ref, path) do
-    {records, damage} = read_records(ref, 0, [], nil)
+    {records, damage} = read_records({ref, path}, 0, [], nil)
     catalog = Catalog.parse_records(records)
     name = Folder.current_name(path, catalog.name)
 
@@ -64,20 +65,26 @@ defmodule Situ.Store.CatalogCache do
   end
 
   # Returns the records and the reason if some of them were damaged.
-  defp read_records(ref, ordinal, parts, damage) do
-    case Native.read(ref, @catalog, ordinal, @max_time, 10_000, @read_bytes) do
+  defp read_records({ref, path} = store, ordinal, parts, damage) do
+    read = fn -> Native.read(ref, @catalog, ordinal, @max_time, 10_000, @read_bytes) end
+
+    case Mirror.with_bytes(path, read) do
       {:ok, [], _} ->
         {parts |> Enum.reverse() |> Enum.concat(), damage}
 
       {:ok, runs, next} ->
         bytes = for {_, list} <- runs, {_, _, _, data} <- list, is_binary(data), do: data
-        read_records(ref, next, [bytes | parts], damage)
+        read_records(store, next, [bytes | parts], damage)
+
+      # The rest of the catalog could not be fetched.
+      {:error, %Situ.Error{} = error} ->
+        raise error
 
       {:error, reason} ->
         # Records after a damaged part of the catalog are still usable.
         case Native.reader_skip(ref, @catalog, ordinal) do
           ^ordinal -> {parts |> Enum.reverse() |> Enum.concat(), reason}
-          next -> read_records(ref, next, parts, reason)
+          next -> read_records(store, next, parts, reason)
         end
     end
   end

@@ -20,8 +20,14 @@ defmodule Situ.Store.Locator do
   def find_recording(path, reader) do
     case Formats.for_address(path) do
       nil -> find_here(Path.expand(path), reader)
-      module -> {:ok, path, reader || module}
+      module -> find_address(path, module, reader)
     end
+  end
+
+  defp find_address(address, module, reader) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :locate, 1),
+      do: with({:ok, path} <- module.locate(address), do: find_here(path, reader)),
+      else: {:ok, address, reader || module}
   end
 
   defp find_here(path, reader) do

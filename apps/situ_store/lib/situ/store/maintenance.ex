@@ -13,6 +13,7 @@ defmodule Situ.Store.Maintenance do
     NativeFormat,
     Query,
     Replacement,
+    S3,
     SegmentedRecording,
     SegmentRenaming,
     Segments
@@ -199,6 +200,8 @@ defmodule Situ.Store.Maintenance do
   end
 
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
+  def delete("s3://" <> _ = address), do: with({:ok, _} <- S3.delete(address), do: :ok)
+
   def delete(path) do
     path = Path.expand(path)
 

@@ -6,6 +6,9 @@ defmodule Situ.Store.NativeErrors do
   @spec to_error(term(), Path.t(), String.t() | nil) :: Error.t()
   def to_error(reason, path, stream \\ nil)
 
+  # The data could not be fetched (`Situ.Store.S3.Mirror`).
+  def to_error(%Error{} = error, _path, _stream), do: error
+
   def to_error({:io, what, 28, _why}, path, _stream) do
     Error.new(:disk_full, "no space left on the disk of #{path}",
       why: "could not #{what}; all data written before is safe and readable",

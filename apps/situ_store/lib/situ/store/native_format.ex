@@ -6,6 +6,7 @@ defmodule Situ.Store.NativeFormat do
 
   alias Situ.{Columns, Error}
   alias Situ.Store.CatalogCache
+  alias Situ.Store.S3.Mirror
   alias Situ.Store.Summary.Bins
 
   alias Situ.Store.{
@@ -105,7 +106,7 @@ defmodule Situ.Store.NativeFormat do
   end
 
   defp put_statistics(state, info) do
-    case Native.reader_statistics(state.ref, info.id) do
+    case fetch_statistics(state, info) do
       {:ok, {count, first, last, first_creation, last_creation, size, latency, stored, _}} ->
         %{
           info
@@ -119,10 +120,16 @@ defmodule Situ.Store.NativeFormat do
             stored: stored
         }
 
+      {:error, %Error{} = error} ->
+        raise error
+
       _ ->
         info
     end
   end
+
+  defp fetch_statistics(state, info),
+    do: Mirror.with_bytes(state.path, fn -> Native.reader_statistics(state.ref, info.id) end)
 
   defp store_info(state), do: CatalogCache.store_info(state.ref, state.path)
   defp lookup_streams(state, name), do: CatalogCache.lookup_streams(state.ref, state.path, name)
@@ -132,7 +139,7 @@ defmodule Situ.Store.NativeFormat do
     time = clamp_time(time)
 
     with :slow <- Native.reader_seek_quick(state.ref, info.id, time) do
-      Native.reader_seek(state.ref, info.id, time)
+      Mirror.with_bytes(state.path, fn -> Native.reader_seek(state.ref, info.id, time) end)
     end
     |> NativeErrors.wrap_error(state.path, info.name)
   end
@@ -141,12 +148,14 @@ defmodule Situ.Store.NativeFormat do
   def read(state, info, ordinal, to, limit, opts) do
     bytes = if opts[:exact], do: 0, else: @read_bytes
 
-    case Native.read(state.ref, info.id, ordinal, clamp_time(to), limit, bytes) do
+    read = fn -> Native.read(state.ref, info.id, ordinal, clamp_time(to), limit, bytes) end
+
+    case Mirror.with_bytes(state.path, read) do
       {:ok, runs, next} ->
         {:ok, StoredMessages.build_messages(runs, info), next}
 
       {:error, reason} ->
-        if opts[:skip_damage],
+        if opts[:skip_damage] == true and not is_struct(reason, Error),
           do: read_after_damage(state, info, ordinal, to, limit, opts),
           else: {:error, NativeErrors.to_error(reason, state.path, info.name)}
     end
@@ -154,7 +163,9 @@ defmodule Situ.Store.NativeFormat do
 
   @impl true
   def columns(state, info, ordinal, to, bytes) do
-    case Native.reader_columns(state.ref, info.id, ordinal, clamp_time(to), bytes) do
+    read = fn -> Native.reader_columns(state.ref, info.id, ordinal, clamp_time(to), bytes) end
+
+    case Mirror.with_bytes(state.path, read) do
       {:ok, {kind, count, times, creation_times, values, first_id}, next} ->
         columns = %Columns{
           kind: kind,
@@ -208,7 +219,9 @@ defmodule Situ.Store.NativeFormat do
   def read_signal(state, info, from, to, level) do
     refresh_entries(state)
 
-    case Native.reader_summary(state.ref, info.id, from, to, level) do
+    read = fn -> Native.reader_summary(state.ref, info.id, from, to, level) end
+
+    case Mirror.with_bytes(state.path, read) do
       {:ok, bins} when map_size(info.codecs) == 0 ->
         {:ok, bins}
 
@@ -226,8 +239,10 @@ defmodule Situ.Store.NativeFormat do
     {from, to} = {clamp_time(from), clamp_time(to)}
 
     with {:ok, counts, tracks} <-
-           state.ref
-           |> Native.reader_tracks(info.id, from, to, level, most)
+           state.path
+           |> Mirror.with_bytes(fn ->
+             Native.reader_tracks(state.ref, info.id, from, to, level, most)
+           end)
            |> NativeErrors.wrap_error(state.path, info.name),
          {:ok, tracks} <- put_signal_track(state, info, tracks, from, to, level),
          do: {:ok, counts, tracks}
@@ -299,8 +314,10 @@ defmodule Situ.Store.NativeFormat do
   end
 
   @impl true
-  def gaps(state, %StreamInfo{id: id}, least),
-    do: Native.reader_gaps(state.ref, id, min(least, @longest))
+  def gaps(state, %StreamInfo{id: id}, least) do
+    read = fn -> Native.reader_gaps(state.ref, id, min(least, @longest)) end
+    with {:error, error} <- Mirror.with_bytes(state.path, read), do: raise(error)
+  end
 
   @lanes %{0 => "data", 1 => "large"}
 
@@ -309,6 +326,7 @@ defmodule Situ.Store.NativeFormat do
     for {lane, number} <- Native.reader_extents(state.ref),
         name = "#{@lanes[lane]}-#{String.pad_leading(to_string(number), 6, "0")}.situ",
         not File.exists?(Path.join(state.path, name)),
+        not File.exists?(Path.join(state.path, Path.rootname(name) <> ".mirror")),
         do: name
   end
 
@@ -319,7 +337,9 @@ defmodule Situ.Store.NativeFormat do
     do: verify_from(state, 0, Native.reader_damage(state.ref), progress)
 
   defp verify_from(state, from, found, progress) do
-    case Native.reader_verify(state.ref, from, 256) do
+    read = fn -> Native.reader_verify(state.ref, from, 256) end
+
+    case Mirror.with_bytes(state.path, read) do
       {:ok, more, total} when from + 256 >= total ->
         progress.(total, total)
         {:ok, found ++ more, total}

@@ -4,6 +4,7 @@ defmodule Situ.Store.Query do
   alias Situ.{Error, Message, Options}
 
   alias Situ.Recording
+  alias Situ.Recording.Formats
 
   alias Situ.Store.{
     Locator,
@@ -91,8 +92,10 @@ defmodule Situ.Store.Query do
   @spec open(Path.t(), keyword()) :: {:ok, Recording.t()} | {:error, Error.t()}
   def open(path, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @open_options),
-         {:ok, path, module} <- Locator.find_recording(path, opts[:reader]),
-         {:ok, state} <- module.open(path, reader_opts(module, opts)) do
+         {:ok, found, module} <- Locator.find_recording(path, opts[:reader]),
+         {:ok, state} <- module.open(found, reader_opts(module, opts)) do
+      # The recording of an address keeps it, wherever its files are.
+      path = if Formats.for_address(path), do: path, else: found
       {:ok, %Recording{path: path, module: module, state: state}}
     end
   end

@@ -19,6 +19,8 @@ defmodule Situ.Store.Transfer do
     Writer
   }
 
+  alias Situ.Store.S3.Mirror
+
   @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :report_progress]
   defstruct @enforce_keys
 
@@ -164,15 +166,19 @@ defmodule Situ.Store.Transfer do
     numbers = for {number, codec} <- info.codecs, do: {number, transfer.numbers[codec]}
     target = {stream.id, numbers}
 
-    case Native.store_transfer(
-           store.state.ref,
-           info.id,
-           ordinal,
-           NativeFormat.clamp_time(to),
-           @part_bytes,
-           stream.writer.ref,
-           target
-         ) do
+    copy = fn ->
+      Native.store_transfer(
+        store.state.ref,
+        info.id,
+        ordinal,
+        NativeFormat.clamp_time(to),
+        @part_bytes,
+        stream.writer.ref,
+        target
+      )
+    end
+
+    case Mirror.with_bytes(store.state.path, copy) do
       {:ok, {0, ordinal}} ->
         {:ok, transfer, ordinal}
 

@@ -32,6 +32,7 @@ defmodule Situ.CLI.Doctor.Checks do
   # Application, path in its priv folder, purpose, option of bin/setup.
   @optional_programs [
     {:situ_bridge, "zenoh/zenoh_port", "live ROS 2 topics", "ros2"},
+    {:situ_store, "objects/object_port", "recordings in object storage (S3)", "s3"},
     {:situ_space, "opencv/opencv_port", "chessboards and stereo", "opencv"},
     {:situ_space, "depth/depth_port", "depth cameras of OpenNI 2 and libfreenect", "depth"}
   ]

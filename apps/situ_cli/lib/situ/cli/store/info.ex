@@ -17,8 +17,11 @@ defmodule Situ.CLI.Store.Info do
 
   def show_recordings(paths, opts), do: list_recordings(paths, opts)
 
-  defp recordings_folder?(path),
-    do: File.dir?(path) and not Store.exists?(path)
+  defp recordings_folder?("s3://" <> _ = address), do: Store.list(address, recursive: true) != []
+  defp recordings_folder?(path), do: File.dir?(path) and not Store.exists?(path)
+
+  defp describe_location("s3://" <> _), do: "in object storage"
+  defp describe_location(_path), do: "on disk"
 
   # Unreadable recordings are listed as errors. If the only given recording is unreadable, the command fails.
   defp list_recordings(paths, opts) do
@@ -85,7 +88,7 @@ defmodule Situ.CLI.Store.Info do
     Output.puts(
       "  #{store_state(info)}; #{Output.format_count(length(streams), "stream")}, " <>
         "#{Output.format_count(count_messages(streams), "message")}, " <>
-        "#{Output.format_bytes(Recording.disk_size(store))} on disk"
+        "#{Output.format_bytes(Recording.disk_size(store))} #{describe_location(store.path)}"
     )
 
     case Store.interval(streams) do
