@@ -1,12 +1,14 @@
 """Tests frames: streams as columns. They need numpy; pandas, pyarrow and polars are tested if they are installed."""
 
+import contextlib
 import datetime
 import importlib.util
+import io
 import tempfile
 import unittest
 
 import situ
-from situ import frames
+from situ import core, frames, progress
 
 try:
     import numpy as np
@@ -72,6 +74,8 @@ class FramesTest(unittest.TestCase):
         self.assertEqual((part.rows, part["Spectrum"].tolist()), (2, [[10.0] * 4] * 2))
         part = self.store.join(["Level", "Mode"], start=11 * SECOND, end=12 * SECOND, tolerance=SECOND // 2)
         self.assertEqual(part["Mode"].tolist(), [None, None])
+        exact = self.store.join(["Mode", "Level", "Partial"], on="Level", how="exact")
+        self.assertEqual((exact["Partial.a"][10], set(exact["Mode"])), (1, {None}))
         with self.assertRaisesRegex(ValueError, "nearest"):
             self.store.join(["Level"], how="next")
 
@@ -85,7 +89,8 @@ class FramesTest(unittest.TestCase):
             for row, is_found, time in zip(rows, found, wanted):
                 distance = np.abs(given - time)
                 self.assertEqual(is_found, distance.min() <= tolerance)
-                self.assertEqual(distance[row], distance.min())
+                # The later one of two at the same distance, as in Situ.
+                self.assertEqual(row, np.flatnonzero(distance == distance.min())[-1])
 
     def test_notebooks_show_a_picture_and_a_table(self):
         page = self.store._repr_html_()
@@ -94,6 +99,39 @@ class FramesTest(unittest.TestCase):
         self.assertIn("<th>Level</th>", self.store.join(["Level"])._repr_html_())
         expected = "<situ.Frame of 100 rows; time: datetime64[ns], value: float64>"
         self.assertEqual(repr(self.store.frame("Level")), expected)
+
+    def test_large_messages_are_read_when_they_are_used(self):
+        for use in [False] + [True] * core.is_installed():
+            with tempfile.TemporaryDirectory() as root:
+                with situ.create("a", root, core=use) as store:
+                    for n in range(5):
+                        store.write("Camera", n, situ.Image.from_array(np.full((200, 300), n, "u1")))
+                        store.write("Big", n, np.full(9_000, n, "f4"))
+                        store.write("Small", n, situ.Image.from_array(np.full((2, 3), n, "u1")))
+                store = situ.open(f"{root}/a", core=use)
+                frame = store.frame("Camera", start=1)
+                self.assertIsInstance(frame["value"][0], situ.Lazy)
+                sums = [int(image.array.sum()) for image in frame["value"]]
+                self.assertEqual(sums, [60_000 * n for n in range(1, 5)])
+                self.assertEqual(frame["value"][3].load().width, 300)
+                self.assertEqual(store.frame("Big")["value"].shape, (5, 9_000))
+                self.assertEqual(store.frame("Small")["value"].shape, (5, 2, 3))
+                self.assertEqual(store.join(["Small", "Camera"])["Camera"][2].time, 2)
+                with open(f"{root}/a.0000/large-000000.situ", "r+b") as file:
+                    file.seek(5_000)
+                    file.write(b"damage")
+                self.assertEqual(len(situ.open(f"{root}/a", core=use).frame("Camera")["value"]), 5)
+                with self.assertRaises(situ.Damaged):
+                    situ.open(f"{root}/a", core=use).frame("Camera")["value"][0].load()
+
+    def test_progress_is_shown_on_request(self):
+        with contextlib.redirect_stderr(io.StringIO()) as shown:
+            self.store.frame("Level")
+            with progress.Progress("Reading Level", True) as report:
+                report._next = 0
+                report(0.425)
+        self.assertEqual(shown.getvalue().split("\r")[1:2], ["Reading Level: 42 %"])
+        self.assertEqual(shown.getvalue().split("\r")[-2].strip(), "")
 
     @unittest.skipUnless(importlib.util.find_spec("pandas"), "pandas is not installed")
     def test_pandas(self):
@@ -109,6 +147,90 @@ class FramesTest(unittest.TestCase):
     @unittest.skipUnless(importlib.util.find_spec("polars"), "polars is not installed")
     def test_polars(self):
         self.assertEqual(self.store.frame("Level").to_polars()["value"].sum(), sum(range(100)) / 2)
+        with situ.create("poses", self.store.path) as store:
+            store.write("Head", 1, situ.Pose((1, 2, 3), (1, 0, 0, 0)))
+        poses = situ.open(store.path).frame("Head").to_polars()
+        self.assertEqual(poses["value"][0].position, (1, 2, 3))
+
+
+VALUES = {
+    "float": [0.5, -1.0, float("inf")],
+    "truth": [True, False, True],
+    "text": ["a", "ä" * 50, ""],
+    "bytes": [b"", b"\xff", b"abc"],
+    "list": [[1, 2], [], [3]],
+    "nested": [[[1.5], []], [], [[2.5, 3.5]]],
+    "map": [{"a": 1, "b": {"c": "x"}}, {"a": 2, "b": {"c": "y"}}, {"a": 3, "b": {"c": "z"}}],
+    "partial": [None, "x", None],
+    "maybe": [True, None, False],
+    "none": [None, None, None],
+}
+
+
+@unittest.skipUnless(np and core.is_installed(), "numpy or situ_core is not installed")
+class ArrowTest(unittest.TestCase):
+    def setUp(self):
+        self.time = np.array([5, 6, 7], "M8[ns]")
+        objects = {}
+        for name, items in VALUES.items():
+            objects[name] = np.empty(3, object)
+            objects[name][:] = items
+        kinds = ["i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"]
+        numbers = {kind: np.arange(9, dtype=kind)[::3] for kind in kinds}
+        rows = {"rows": np.arange(12, dtype="f4").reshape(3, 2, 2)}
+        self.frame = situ.Frame({"time": self.time, **objects, **numbers, **rows})
+
+    @unittest.skipUnless(importlib.util.find_spec("pyarrow"), "pyarrow is not installed")
+    def test_pyarrow_takes_every_column(self):
+        import pyarrow
+
+        table = pyarrow.table(self.frame)
+        table.validate(full=True)
+        for name, items in VALUES.items():
+            self.assertEqual(table[name].to_pylist(), items, name)
+        for kind in ("i1", "u8", "f4"):
+            self.assertEqual(table[kind].to_pylist(), [0, 3, 6], kind)
+        self.assertEqual(table["rows"].to_pylist()[2], [8.0, 9.0, 10.0, 11.0])
+        self.assertEqual(table["time"].cast("int64").to_pylist(), [5, 6, 7])
+        address = table["rows"].chunk(0).flatten().buffers()[1].address
+        self.assertEqual(address, self.frame["rows"].__array_interface__["data"][0])
+        # The memory outlives the frame, and a capsule that nobody takes is released.
+        column = table["rows"]
+        self.frame.__arrow_c_stream__()
+        del table, self.frame
+        self.assertEqual(column.to_pylist()[2], [8.0, 9.0, 10.0, 11.0])
+
+    @unittest.skipUnless(importlib.util.find_spec("polars"), "polars is not installed")
+    def test_polars_takes_every_column(self):
+        import polars
+
+        table = polars.DataFrame(self.frame)
+        for name, items in VALUES.items():
+            self.assertEqual(table[name].to_list(), items, name)
+        self.assertEqual(table["rows"].to_list()[2], [8.0, 9.0, 10.0, 11.0])
+        self.assertEqual(table["time"].dtype.time_zone, "UTC")
+        floats = situ.Frame({"time": self.time, "f8": np.arange(3.0)})
+        column = polars.DataFrame(floats)["f8"].to_numpy()
+        self.assertEqual(column.__array_interface__["data"], (floats["f8"].__array_interface__["data"][0], True))
+
+    @unittest.skipUnless(importlib.util.find_spec("duckdb"), "duckdb is not installed")
+    def test_duckdb_queries_a_frame(self):
+        import duckdb
+
+        frame = self.frame
+        rows = duckdb.sql('select count(*), sum("i4"), max("text") from frame').fetchall()
+        self.assertEqual(rows, [(3, 9, "ä" * 50)])
+        rows = duckdb.sql("select epoch_ns(time), list, map.b.c from frame where truth").fetchall()
+        self.assertEqual(rows, [(5, [1, 2], "x"), (7, [3], "z")])
+        del frame
+
+    def test_says_which_column_it_cannot_represent(self):
+        column = np.empty(2, object)
+        column[:] = [situ.Pose((1, 2, 3), (1, 0, 0, 0)), 5]
+        frame = situ.Frame({"time": self.time[:2], "a": self.time[:2], "Pose": column})
+        with self.assertRaisesRegex(TypeError, "'Pose'.*frame.select"):
+            frame.__arrow_c_stream__()
+        frame.select(["time", "a"]).__arrow_c_stream__()
 
 
 if __name__ == "__main__":

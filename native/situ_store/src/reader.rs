@@ -215,6 +215,17 @@ impl Reader {
         Ok(entry)
     }
 
+    /// Returns the entry of the first chunk that ends at or after `time`, or `None` if there is none.
+    pub fn entry_from(&self, stream: u32, time: i64) -> Result<Option<Entry>> {
+        let entry = {
+            let index = self.lock_index();
+            let entries = index.stream_entries(stream, 0);
+            entries.and_then(|entries| entries.get(entries.position_at_time(time)))
+        };
+        self.check_intact()?;
+        Ok(entry)
+    }
+
     /// Returns the ordinal of the first message at or after `time`, or the message count if there is none.
     pub fn ordinal_from(&self, stream: u32, time: i64) -> Result<u64> {
         Ok(self.find_ordinal(stream, time, false)?.unwrap_or_default())

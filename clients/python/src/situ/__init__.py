@@ -19,6 +19,7 @@ from .binary import Damaged, Missing
 from .component import Component
 from .dataset import ConflictError, Dataset, Partition, Session
 from .frames import Frame
+from .lazy import Lazy
 from .network import publish, pull, push, subscribe
 from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, open
 from .segments import SegmentedStore
@@ -41,6 +42,7 @@ __all__ = [
     "EncodedImage",
     "Frame",
     "Image",
+    "Lazy",
     "Message",
     "Missing",
     "Partition",

@@ -1,11 +1,18 @@
 """Checksums, compression and variable-length integers: the building blocks of the file format."""
 
+from __future__ import annotations
+
 import functools
 import shutil
 import struct
 import subprocess
+from typing import Any, Callable, Union
+
+Buffer = Union[bytes, bytearray, memoryview]
 
 MASK = (1 << 64) - 1
+# The encodings of a chunk's messages.
+BINS, INTS, FLOATS, BINARIES, TERMS, CODEC, BOOLEANS, TRACKS = range(8)
 
 
 class Damaged(Exception):
@@ -16,7 +23,7 @@ class Missing(Exception):
     """Raised if a required package or program is not installed. The message names it."""
 
 
-def _build_crc_table():
+def _build_crc_table() -> list[int]:
     """Returns the CRC register after each possible byte."""
     table = []
     for byte in range(256):
@@ -31,7 +38,7 @@ _TABLE = _build_crc_table()
 _SHORT_LANE, _LONG_LANE, _MANY = 64, 1_024, 131_072
 
 
-def _update_crc(crc, data):
+def _update_crc(crc: int, data: Buffer) -> int:
     """Returns the CRC register after `data`."""
     for byte in data:
         crc = _TABLE[(crc ^ byte) & 0xFF] ^ (crc >> 8)
@@ -39,7 +46,7 @@ def _update_crc(crc, data):
 
 
 @functools.lru_cache
-def _build_skip_tables(lane):
+def _build_skip_tables(lane: int) -> list[list[int]]:
     """Returns a table per register byte: its contribution to the register after `lane` zero bytes.
 
     The register after zeros is linear in the register before them, so the four contributions are combined by XOR.
@@ -55,17 +62,17 @@ def _build_skip_tables(lane):
     return tables
 
 
-def _plain_crc32c(data):
+def _plain_crc32c(data: Buffer) -> int:
     return _update_crc(0xFFFFFFFF, data) ^ 0xFFFFFFFF
 
 
-def _build_numpy_crc32c(np):
+def _build_numpy_crc32c(np: Any) -> Callable[[Buffer], int]:
     """Builds a numpy implementation: each lane starts with a register of 0, and the lanes are then combined."""
     one = np.array(_TABLE, "u4")
     first = one[np.arange(65_536) & 255] ^ (np.arange(65_536, dtype="u4") >> 8)
     two = one[first & 255] ^ (first >> 8)
 
-    def crc32c(data):
+    def crc32c(data: Buffer) -> int:
         size = _LONG_LANE if len(data) >= _MANY else _SHORT_LANE
         lanes = len(data) // size
         if lanes < 16:
@@ -83,7 +90,7 @@ def _build_numpy_crc32c(np):
     return crc32c
 
 
-def _select_crc32c():
+def _select_crc32c() -> Callable[[Buffer], int]:
     try:
         from google_crc32c import value
     except ImportError:
@@ -100,7 +107,7 @@ def _select_crc32c():
 _crc32c = _select_crc32c()
 
 
-def crc32c(data):
+def crc32c(data: Buffer) -> int:
     """
     Returns the CRC-32C (Castagnoli) of bytes.
 
@@ -110,29 +117,29 @@ def crc32c(data):
     return _crc32c(data)
 
 
-def verify_checksum(crc, data, what):
+def verify_checksum(crc: int, data: Buffer, what: str) -> None:
     """Raises `Damaged` unless `crc` is the checksum of `data`. `what` describes the data in the error."""
     if crc32c(data) != crc:
         raise Damaged(f"the checksum of {what} does not match")
 
 
-def to_signed64(value):
+def to_signed64(value: int) -> int:
     """Wraps an integer to a signed 64-bit integer."""
     value &= MASK
     return value - (1 << 64) if value >> 63 else value
 
 
-def encode_zigzag(value):
+def encode_zigzag(value: int) -> int:
     """Maps a signed integer to an unsigned one, small magnitudes to small numbers."""
     return (value << 1) ^ (value >> 63)
 
 
-def decode_zigzag(value):
+def decode_zigzag(value: int) -> int:
     """Reverses `encode_zigzag`."""
     return (value >> 1) ^ -(value & 1)
 
 
-def encode_varint(value):
+def encode_varint(value: int) -> bytes:
     """
     Encodes an unsigned 64-bit integer in groups of 7 bits, lowest first.
 
@@ -151,10 +158,10 @@ def encode_varint(value):
 class Cursor:
     """Reads values in sequence. Raises `Damaged` at the end of the bytes."""
 
-    def __init__(self, data, position=0):
+    def __init__(self, data: Buffer, position: int = 0) -> None:
         self.data, self.position = data, position
 
-    def read_varint(self):
+    def read_varint(self) -> int:
         value = shift = 0
         while True:
             byte = self.read_bytes(1)[0]
@@ -165,36 +172,37 @@ class Cursor:
             if shift > 63:
                 raise Damaged("an integer has more than 10 bytes")
 
-    def read_zigzag(self):
+    def read_zigzag(self) -> int:
         return decode_zigzag(self.read_varint())
 
-    def read_bytes(self, length):
+    def read_bytes(self, length: int) -> Buffer:
         part = self.data[self.position : self.position + length]
         if len(part) != length:
             raise Damaged("a payload extends past the end of its chunk")
         self.position += length
         return part
 
-    def read_struct(self, layout):
+    def read_struct(self, layout: str) -> tuple[Any, ...]:
         return struct.unpack(layout, self.read_bytes(struct.calcsize(layout)))
 
 
-def _decompress_lz4(stored, length):
+def _decompress_lz4(stored: Buffer, length: int) -> bytes:
     try:
-        import lz4.block
+        import lz4.block  # type: ignore[import-untyped, unused-ignore]
 
-        return lz4.block.decompress(stored, uncompressed_size=length)
+        unpacked: bytes = lz4.block.decompress(stored, uncompressed_size=length)
+        return unpacked
     except ImportError:
         return _decompress_plain_lz4(stored, length)
     except Exception as error:
         raise Damaged(f"invalid LZ4 block: {error}") from error
 
 
-def _decompress_plain_lz4(stored, max_length):
+def _decompress_plain_lz4(stored: Buffer, max_length: int) -> bytes:
     """Decompresses LZ4's block format: alternating literals and copies of at least 4 earlier bytes."""
     out, cursor = bytearray(), Cursor(stored)
 
-    def read_length(length):
+    def read_length(length: int) -> int:
         while length >= 15:
             (byte,) = cursor.read_bytes(1)
             length += byte
@@ -215,7 +223,7 @@ def _decompress_plain_lz4(stored, max_length):
             out.append(out[-distance])
 
 
-def _decompress_zstd(stored, length):
+def _decompress_zstd(stored: Buffer, length: int) -> bytes:
     try:
         import zstandard
 

@@ -1,12 +1,15 @@
 """Decodes whole chunks of numbers to numpy arrays."""
 
-from .binary import Damaged
-from .layout import BOOLEANS, FLOATS, INTS
+from __future__ import annotations
+
+from typing import Any, Optional
+
+from .binary import BOOLEANS, FLOATS, INTS, Buffer, Damaged
 
 _NIL = 2
 
 
-def decode_chunk(np, header, body):
+def decode_chunk(np: Any, header: dict[str, Any], body: Buffer) -> Optional[tuple[Any, Any]]:
     """Returns the times (int64) and values of a chunk's messages, or None if its values are not plain numbers."""
     if header["encoding"] not in (INTS, FLOATS, BOOLEANS):
         return None
@@ -20,7 +23,7 @@ def decode_chunk(np, header, body):
     return None if values is None else (times, values)
 
 
-def _decode_values(np, encoding, payload, count):
+def _decode_values(np: Any, encoding: int, payload: Buffer, count: int) -> Any:
     if encoding == INTS:
         zigzags = _decode_varints(np, payload, count)
         return (zigzags >> np.uint64(1)).view("i8") ^ -(zigzags & np.uint64(1)).view("i8")
@@ -33,7 +36,7 @@ def _decode_values(np, encoding, payload, count):
     return None if (truths >= _NIL).any() else truths == 1
 
 
-def _decode_varints(np, raw, count):
+def _decode_varints(np: Any, raw: Any, count: int) -> Any:
     """Decodes the first `count` variable-length integers."""
     raw = np.frombuffer(raw, "u1")
     ends = np.flatnonzero(raw < 0x80)[:count]

@@ -17,7 +17,7 @@ __all__ = ["ConflictError", "Dataset", "Partition", "Session"]
 class Dataset:
     """A dataset file. Saving keeps members that this package does not know, and merges the edits of other programs."""
 
-    def __init__(self, path, document):
+    def __init__(self, path: Path, document: dict[str, Any]) -> None:
         self.path, self.document = os.fspath(path), document
         self._base = copy.deepcopy(document)
 
@@ -69,24 +69,24 @@ class Dataset:
         self._base = copy.deepcopy(document.content)
 
 
-def _normalize(document, path):
+def _normalize(document: Any, path: Path) -> dict[str, Any]:
     """Checks that a value is a dataset, and adds the members that files may omit."""
     if not isinstance(document, dict) or not isinstance(document.get("sessions"), list):
         raise ValueError(f"{path} is not a dataset: it has no list `sessions`")
     if document.get("version", 1) != 1:
         raise ValueError(f"{path} has version {document['version']}; this package supports version 1")
-    document = {key: value for key, value in document.items() if key != "version"}
-    document.setdefault("name", "Untitled Dataset")
-    for owner in (document, *document["sessions"]):
+    normalized = {key: value for key, value in document.items() if key != "version"}
+    normalized.setdefault("name", "Untitled Dataset")
+    for owner in (normalized, *normalized["sessions"]):
         owner.setdefault("tags", [])
         owner.setdefault("metadata", {})
-    for session in document["sessions"]:
+    for session in normalized["sessions"]:
         for part in session.setdefault("partitions", []):
             part.setdefault("metadata", {})
-    return document
+    return normalized
 
 
-def _encode(document, mark=None):
+def _encode(document: dict[str, Any], mark: Optional[str] = None) -> str:
     """Returns the text of a file; `mark` is the text of its member `edits`."""
     document = dict(document)
     sessions = document.pop("sessions")
@@ -97,17 +97,19 @@ def _encode(document, mark=None):
 class Session:
     """A session: a set of recordings that belong together."""
 
-    def __init__(self, dataset, document):
+    def __init__(self, dataset: Dataset, document: Any) -> None:
         self._dataset, self.document = dataset, document
 
     @property
     def name(self) -> Optional[str]:
-        return self.document["name"]
+        name: Optional[str] = self.document["name"]
+        return name
 
     @property
     def metadata(self) -> dict[str, Any]:
         """A dict of metadata, which can be changed in place."""
-        return self.document.setdefault("metadata", {})
+        metadata: dict[str, Any] = self.document.setdefault("metadata", {})
+        return metadata
 
     @property
     def partitions(self) -> dict[str, Partition]:
@@ -130,12 +132,13 @@ class Session:
 class Partition:
     """One recording of a session."""
 
-    def __init__(self, dataset, document):
+    def __init__(self, dataset: Dataset, document: Any) -> None:
         self._dataset, self.document = dataset, document
 
     @property
     def name(self) -> Optional[str]:
-        return self.document["name"]
+        name: Optional[str] = self.document["name"]
+        return name
 
     @property
     def path(self) -> str:

@@ -5,6 +5,8 @@ that it contains. A program that edits a document takes `DOCUMENT.lock`, reads t
 own, which is on disk before `save` returns.
 """
 
+from __future__ import annotations
+
 import contextlib
 import copy
 import datetime
@@ -19,7 +21,10 @@ import sys
 import tempfile
 import time
 import zlib
+from collections.abc import Iterator
+from typing import Any, Callable, Optional
 
+fcntl: Any
 try:
     import fcntl
 except ImportError:  # Windows has no such locks
@@ -36,15 +41,15 @@ class ConflictError(ValueError):
 # Changes
 
 
-def keyed(*lists):
+def keyed(*lists: Any) -> bool:
     """Returns whether the lists have keys: objects with different names or ids, or different strings."""
     kinds = set()
     for items in lists:
         if not items:
             continue
-        for kind, key in (("name", lambda i: i["name"]), ("id", lambda i: i["id"]), ("text", lambda i: i)):
+        for kind in ("name", "id", "text"):
             try:
-                keys = [key(item) for item in items]
+                keys = [item if kind == "text" else item[kind] for item in items]
             except (TypeError, KeyError, IndexError):
                 continue
             if all(isinstance(k, str) for k in keys) and len(set(keys)) == len(keys):
@@ -55,20 +60,20 @@ def keyed(*lists):
     return len(kinds) == 1
 
 
-def item_key(item):
+def item_key(item: Any) -> Any:
     return item if isinstance(item, str) else item.get("name", item.get("id"))
 
 
-def find(items, key):
+def find(items: Any, key: bool) -> Optional[int]:
     return next((i for i, item in enumerate(items) if item_key(item) == key), None)
 
 
-def same(a, b):
+def same(a: Any, b: Any) -> bool:
     """Compares two JSON values; true is not 1."""
     return json.dumps(a, sort_keys=True) == json.dumps(b, sort_keys=True)
 
 
-def diff(before, later, path=()):
+def diff(before: Any, later: Any, path: Any = ()) -> list[Any]:
     """Returns the changes that turn one document into another."""
     path = list(path)
     if same(before, later):
@@ -88,7 +93,7 @@ def diff(before, later, path=()):
     return [["set", path, before, later]]
 
 
-def diff_items(before, later, path):
+def diff_items(before: Any, later: Any, path: Any) -> list[Any]:
     old, new = {item_key(i): i for i in before}, {item_key(i): i for i in later}
     removes = [["remove", [*path, k], old[k], n] for n, k in enumerate(old) if k not in new]
     adds = [["add", [*path, k], new[k], n] for n, k in enumerate(new) if k not in old]
@@ -103,7 +108,7 @@ def diff_items(before, later, path):
     return removes[::-1] + adds + inner + order
 
 
-def apply_change(document, change, force=False):
+def apply_change(document: Any, change: Any, force: bool = False) -> Any:
     """Applies a change and returns the document. Raises ConflictError, or overwrites with `force`."""
     kind, path, a, b = change
     if not path:
@@ -113,11 +118,12 @@ def apply_change(document, change, force=False):
         if kind == "set" and (force or same(document, a) or same(document, b)):
             return b
         raise ConflictError
-    key, rest = path[0], path[1:]
+    key, rest, place = path[0], path[1:], document
+    at: Any
     if isinstance(document, list):
-        at, place = find(document, key), document
+        at = find(document, key)
     elif isinstance(document, dict):
-        at, place = (key if key in document else None), document
+        at = key if key in document else None
     else:
         raise ConflictError
     if rest or kind in ("set", "order"):
@@ -132,7 +138,7 @@ def apply_change(document, change, force=False):
     return apply_member(place, at, change, force)
 
 
-def apply_member(place, at, change, force):
+def apply_member(place: Any, at: Any, change: Any, force: bool) -> Any:
     kind, (key,), a, b = change
     if kind == "rename":
         if at is not None and find(place, b) is None:
@@ -156,11 +162,11 @@ def apply_member(place, at, change, force):
     return place
 
 
-def describe(change):
+def describe(change: Any) -> str:
     return f"cannot merge the edit `{change[0]}` of {' / '.join(change[1])}: another program has changed it differently"
 
 
-def apply_all(document, changes, force=False):
+def apply_all(document: Any, changes: Any, force: bool = False) -> Any:
     for change in changes:
         try:
             document = apply_change(document, copy.deepcopy(change), force)
@@ -172,12 +178,12 @@ def apply_all(document, changes, force=False):
 # The log
 
 
-def encode_line(value):
+def encode_line(value: Any) -> bytes:
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-def decode_line(line):
+def decode_line(line: bytes) -> Any:
     try:
         if line[8:9] == b" " and int(line[:8], 16) == zlib.crc32(line[9:]):
             return json.loads(line[9:])
@@ -186,7 +192,7 @@ def decode_line(line):
     return None
 
 
-def read_log(path, mark=None):
+def read_log(path: Any, mark: Any = None) -> Any:
     """Returns the header, the entries, and the offset after them; None without a log. `mark` skips earlier entries."""
     try:
         with open(path + ".edits", "rb") as file:
@@ -218,12 +224,12 @@ def read_log(path, mark=None):
     return header, entries, offset
 
 
-def entry_changes(entries):
+def entry_changes(entries: Any) -> list[Any]:
     return [change for entry in entries for change in entry["do"].get("changes", [])]
 
 
 @contextlib.contextmanager
-def lock(path, wait=30.0):
+def lock(path: Any, wait: float = 30.0) -> Iterator[None]:
     """Holds the lock of a document. Raises TimeoutError with the holder."""
     if fcntl is None:
         raise OSError("datasets can be edited on Linux and macOS only: this system has no file locks")
@@ -252,7 +258,7 @@ def lock(path, wait=30.0):
         os.close(file)
 
 
-def is_at(path, file):
+def is_at(path: Any, file: int) -> bool:
     try:
         there, here = os.lstat(path), os.fstat(file)
     except FileNotFoundError:
@@ -260,7 +266,7 @@ def is_at(path, file):
     return (there.st_dev, there.st_ino) == (here.st_dev, here.st_ino)
 
 
-def author():
+def author() -> dict[str, Any]:
     try:
         user = getpass.getuser()
     except (KeyError, OSError):
@@ -270,7 +276,7 @@ def author():
     return {"user": user, "host": socket.gethostname(), "program": program, "since": now}
 
 
-def sync_folder(path):
+def sync_folder(path: Any) -> None:
     folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -280,14 +286,15 @@ def sync_folder(path):
         os.close(folder)
 
 
-def read_bytes(path):
+def read_bytes(path: Any) -> bytes:
     with open(path, "rb") as file:
         return file.read()
 
 
-def replace_file(path, content):
+def replace_file(path: Any, content: bytes) -> None:
     folder = os.path.dirname(os.path.abspath(path))
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=os.path.basename(path) + ".", suffix=".tmp", delete=False) as file:
+    prefix = os.path.basename(path) + "."
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=prefix, suffix=".tmp", delete=False) as file:
         try:
             file.write(content)
             file.flush()
@@ -300,7 +307,7 @@ def replace_file(path, content):
     sync_folder(path)
 
 
-def append_line(path, offset, line):
+def append_line(path: Any, offset: int, line: bytes) -> None:
     """Appends a line at the end of the complete lines. The file is unchanged if that fails."""
     with open(path + ".edits", "r+b", buffering=0) as file:
         try:
@@ -317,7 +324,7 @@ def append_line(path, offset, line):
 # Documents
 
 
-def digest_of(text):
+def digest_of(text: bytes) -> str:
     found = MARK.search(text)
     if found:
         text = text[: found.start(1)] + ZEROS + text[found.end(1) :]
@@ -327,19 +334,20 @@ def digest_of(text):
 class Document:
     """A JSON file and its log. `normalize` fills in members that files may omit."""
 
-    def __init__(self, path, normalize):
+    def __init__(self, path: Any, normalize: Callable[[Any], Any]) -> None:
         self.path, self.normalize = os.fspath(path), normalize
         self.read()
 
-    def read(self):
+    def read(self) -> None:
         """Reads the current content. Edits of the file itself get into the log with the next edit."""
         for _ in range(100):
             self.text = read_bytes(self.path)
             value = json.loads(self.text)
-            mark = value.pop("edits", None) if isinstance(value, dict) else None
+            mark: Any = value.pop("edits", None) if isinstance(value, dict) else None
             digest = digest_of(self.text)
             intact = isinstance(mark, dict) and mark.get("digest") == digest
-            self.content, self.outside = self.normalize(value), []
+            self.content = self.normalize(value)
+            self.outside: list[Any] = []
             self.log = read_log(self.path, mark if intact else None)
             if self.log is None:
                 self.version = self.file = 0
@@ -358,7 +366,7 @@ class Document:
         self.file, self.version = 0, len(self.log[1])
         self.merge_file({} if intact or not isinstance(mark, dict) else mark, digest)
 
-    def merge_file(self, mark, digest):
+    def merge_file(self, mark: Any, digest: str) -> None:
         """Merges a file that does not contain what the log says: somebody has edited it, or replaced it."""
         header, entries, _ = self.log
         file, self.content = self.content, apply_all(copy.deepcopy(header["base"]), entry_changes(entries))
@@ -376,7 +384,7 @@ class Document:
         self.content = apply_all(self.content, diff(base, file), force=True)
         self.outside = diff(before, self.content)
 
-    def edit(self, changes, encode):
+    def edit(self, changes: Any, encode: Callable[..., str]) -> None:
         """Applies changes to the current content and saves it. Raises ConflictError if they do not fit."""
         with lock(self.path):
             self.read()
@@ -396,21 +404,22 @@ class Document:
             header, _, offset = self.log
             mark = {"log": header["log"], "version": self.version, "offset": offset, "digest": ZEROS.decode()}
             text = encode(content, '"edits": ' + json.dumps(mark)).encode()
-            found = MARK.search(text)
+            found: Any = MARK.search(text)
             text = text[: found.start(1)] + digest_of(text).encode() + text[found.end(1) :]
             replace_file(self.path, text)
 
-    def create_log(self, base):
+    def create_log(self, base: Any) -> None:
         second = encode_line({"base": base})
         header = {"log": secrets.token_hex(8), "version": 1, "base_bytes": len(second), "digest": digest_of(self.text)}
         lines = encode_line(header) + second
         replace_file(self.path + ".edits", lines)
         self.log = header, [], len(lines)
 
-    def append(self, kind, changes, more):
+    def append(self, kind: str, changes: Any, more: dict[str, Any]) -> None:
         header, entries, offset = self.log
         me = author()
-        entry = {"n": self.version + 1, "kind": kind, "at": me.pop("since"), **me, **more, "file": self.file, "do": {"changes": changes}}
+        entry = {"n": self.version + 1, "kind": kind, "at": me.pop("since"), **me, **more, "file": self.file}
+        entry["do"] = {"changes": changes}
         line = encode_line({key: value for key, value in entry.items() if value is not None})
         append_line(self.path, offset, line)
         self.version += 1

@@ -1,15 +1,22 @@
 """Encodes single messages as bytes, in the formats of `Situ.Bridge.Format` and with the same format names."""
 
+from __future__ import annotations
+
 import json
 import math
 import struct
+from typing import Any, Callable
 
 from . import terms, values
 from .binary import Damaged, Missing
 from .times import from_text, from_ticks, to_text, to_ticks
 
 
-def encode_message(format, time, data):
+Encoder = Callable[[int, Any], bytes]
+Decoder = Callable[[bytes, int], tuple[int, Any]]
+
+
+def encode_message(format: str, time: int, data: Any) -> bytes:
     """
     Encodes a message.
 
@@ -19,7 +26,7 @@ def encode_message(format, time, data):
     return _find_codec(format)[0](time, data)
 
 
-def decode_message(format, raw, arrival):
+def decode_message(format: str, raw: bytes, arrival: int) -> tuple[int, Any]:
     """Returns the time and the value of an encoded message. Raises `Damaged` if the bytes are not a message."""
     try:
         return _find_codec(format)[1](raw, arrival)
@@ -29,13 +36,13 @@ def decode_message(format, raw, arrival):
         raise Damaged(f"{len(raw)} bytes are not a {format} message: {error}") from error
 
 
-def _find_codec(format):
+def _find_codec(format: str) -> tuple[Encoder, Decoder]:
     if format not in _FORMATS:
         raise ValueError(f"unknown format {format!r}; the formats are {sorted(_FORMATS)}")
     return _FORMATS[format]
 
 
-def _to_plain(value):
+def _to_plain(value: Any) -> Any:
     """Converts numpy arrays and numbers to lists and numbers, recursively."""
     if hasattr(value, "tolist"):
         return _to_plain(value.tolist())
@@ -46,7 +53,7 @@ def _to_plain(value):
     return value
 
 
-def _replace_non_finite(value):
+def _replace_non_finite(value: Any) -> Any:
     """Replaces NaN and infinities by strings, as Situ does, because JSON cannot represent them."""
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
@@ -57,43 +64,44 @@ def _replace_non_finite(value):
     return value
 
 
-def _encode_json(time, data):
+def _encode_json(time: int, data: Any) -> bytes:
     message = _replace_non_finite(_to_plain(data))
     return json.dumps({"originatingTime": to_text(time), "message": message}, allow_nan=False).encode()
 
 
-def _decode_json(raw, _arrival):
+def _decode_json(raw: bytes, _arrival: int) -> tuple[int, Any]:
     document = json.loads(raw)
     return from_text(document["originatingTime"]), document["message"]
 
 
-def _import_msgpack():
+def _import_msgpack() -> Any:
     try:
-        import msgpack
+        import msgpack  # type: ignore[import-untyped, unused-ignore]
     except ImportError:
         raise Missing("msgpack is not installed: pip install situ[msgpack]") from None
     return msgpack
 
 
-def _encode_message_pack(time, data):
+def _encode_message_pack(time: int, data: Any) -> bytes:
     # A tick is 100 ns, so the remaining nanoseconds are a separate member.
     fine = {"nanoseconds": time % 100} if time % 100 else {}
-    return _import_msgpack().packb({"message": _to_plain(data), "originatingTime": to_ticks(time), **fine})
+    packed: bytes = _import_msgpack().packb({"message": _to_plain(data), "originatingTime": to_ticks(time), **fine})
+    return packed
 
 
-def _decode_message_pack(raw, _arrival):
+def _decode_message_pack(raw: bytes, _arrival: int) -> tuple[int, Any]:
     document = _import_msgpack().unpackb(raw)
     return from_ticks(document["originatingTime"]) + document.get("nanoseconds", 0), document["message"]
 
 
-def _encode_situ(time, data):
+def _encode_situ(time: int, data: Any) -> bytes:
     data = values.to_writable(data)
     codec = values.find_codec(data)
     name, payload = (codec.NAME.encode(), data.encode()) if codec else (b"", terms.encode_term(data))
     return struct.pack("<qB", time, len(name)) + name + payload
 
 
-def _decode_situ(raw, _arrival):
+def _decode_situ(raw: bytes, _arrival: int) -> tuple[int, Any]:
     if len(raw) < 9 or len(raw) < 9 + raw[8]:
         raise Damaged("the message is too short")
     name, payload = raw[9 : 9 + raw[8]].decode(), raw[9 + raw[8] :]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-def _import_zmq():
+def _import_zmq() -> Any:
     try:
         import zmq
     except ImportError:
@@ -75,7 +75,7 @@ def push(
 
 
 class _Socket:
-    def __init__(self, kind, address, bind, high_water_mark):
+    def __init__(self, kind: int, address: str, bind: bool, high_water_mark: int) -> None:
         zmq = _import_zmq()
         self._zmq, self._socket = zmq, zmq.Context.instance().socket(kind)
         self._socket.setsockopt(zmq.RCVHWM if kind in (zmq.SUB, zmq.PULL) else zmq.SNDHWM, high_water_mark)
@@ -98,7 +98,16 @@ class _Socket:
 
 
 class _Receiver(_Socket):
-    def __init__(self, kind, address, bind, format, timeout, high_water_mark, topic_filter):
+    def __init__(
+        self,
+        kind: int,
+        address: str,
+        bind: bool,
+        format: str,
+        timeout: Optional[float],
+        high_water_mark: int,
+        topic_filter: Optional[tuple[str, bool]],
+    ) -> None:
         super().__init__(kind, address, bind, high_water_mark)
         self._format, self._timeout, self._topic_filter, self.unreadable = format, timeout, topic_filter, 0
         if topic_filter:
@@ -122,7 +131,17 @@ class _Receiver(_Socket):
 
 
 class _Sender(_Socket):
-    def __init__(self, kind, address, bind, format, topic, wait_for, high_water_mark, linger):
+    def __init__(
+        self,
+        kind: int,
+        address: str,
+        bind: bool,
+        format: str,
+        topic: Optional[str],
+        wait_for: int,
+        high_water_mark: int,
+        linger: float,
+    ) -> None:
         super().__init__(kind, address, bind, high_water_mark)
         self._format, self._topic, self._wait_for, self._linger = format, topic, wait_for, linger
 
@@ -137,8 +156,8 @@ class _Sender(_Socket):
             self._wait_for -= 1 if self._is_subscription(self._socket.recv()) else 0
         self._socket.send_multipart([self._topic.encode(), payload])
 
-    def _is_subscription(self, notification):
-        return notification[:1] == b"\1" and self._topic.encode().startswith(notification[1:])
+    def _is_subscription(self, notification: bytes) -> bool:
+        return notification[:1] == b"\1" and (self._topic or "").encode().startswith(notification[1:])
 
     def close(self) -> None:
         """Closes the socket after sending pending messages for at most `linger` seconds."""

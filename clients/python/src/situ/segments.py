@@ -7,11 +7,12 @@ import os
 import time as clock
 import warnings
 from collections.abc import Iterator
-from typing import Any, Optional
+from typing import Any, Optional, Union
 
 from . import values
 from .binary import Damaged
 from .frames import FrameReader
+from .progress import Progress
 from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream
 
 
@@ -21,9 +22,19 @@ class _Part:
 
     segment: Store
     number: int
-    run: str
-    stream: object
-    until: int = None
+    run: Union[str, int, None]
+    stream: Stream
+    until: Optional[int] = None
+
+    @property
+    def first(self) -> int:
+        """The time of the first message, if there is one."""
+        return self.stream.first or 0
+
+    @property
+    def last(self) -> int:
+        """The time of the last message, if there is one."""
+        return self.stream.last or 0
 
 
 class SegmentedStore(FrameReader):
@@ -33,10 +44,12 @@ class SegmentedStore(FrameReader):
     back, its messages replace those of earlier runs from its first message on.
     """
 
-    def __init__(self, path: str) -> None:
-        self.path = path
+    def __init__(self, path: str, core: Optional[bool] = None) -> None:
+        self.path, self._core = path, core
         self.name = os.path.basename(path)
-        self._segments, self._ignored, self._unreadable = {}, set(), {}
+        self._segments: dict[int, Store] = {}
+        self._ignored: set[int] = set()
+        self._unreadable: dict[int, str] = {}
         self._list_segments()
         if not self._segments:
             raise FileNotFoundError(f"no segments of {path}")
@@ -48,7 +61,7 @@ class SegmentedStore(FrameReader):
         """Reads newly committed messages and finds new segments. Returns whether there were any."""
         before = list(self._segments)
         changed = False
-        for number, segment in before and list(self._segments.items()):
+        for segment in list(self._segments.values()):
             if segment.closed:
                 continue
             try:
@@ -59,7 +72,7 @@ class SegmentedStore(FrameReader):
         self._list_segments()
         return changed or list(self._segments) != before
 
-    def _list_segments(self):
+    def _list_segments(self) -> None:
         versions = list_versions(self.path)
         self._segments = {number: store for number, store in self._segments.items() if number in versions}
         self._unreadable = {number: why for number, why in self._unreadable.items() if number in versions}
@@ -67,7 +80,7 @@ class SegmentedStore(FrameReader):
             if number in self._segments or number in self._ignored:
                 continue
             try:
-                store = Store(folder)
+                store = Store(folder, self._core)
             except FileNotFoundError:
                 continue
             except Damaged as error:
@@ -98,22 +111,24 @@ class SegmentedStore(FrameReader):
                 name=name,
                 count=sum(_count_visible(part) for part in parts),
                 first=written[0].stream.first if written else None,
-                last=last and (last.stream.last if last.until is None else last.until - 1),
+                last=None if last is None else last.last if last.until is None else last.until - 1,
                 closed=infos[-1].closed if self.state != "live" else None,
                 metadata=next((info.metadata for info in reversed(infos) if info.metadata is not None), None),
             )
         return found
 
-    def _find_parts(self):
+    def _find_parts(self) -> dict[str, list[_Part]]:
         """Returns a dict from the name of a stream to its parts in order of time."""
-        found, names, used = {}, {}, set()
+        found: dict[str, list[_Part]] = {}
+        names: dict[tuple[str, str], str] = {}
+        used: set[str] = set()
         for number, segment in reversed(self._segments.items()):
             for stream in segment.streams.values():
                 key = (stream.name, stream.type)
                 if key not in names:
                     names[key] = f"{stream.name} ({stream.type})" if stream.name in used else stream.name
                     used.add(names[key])
-                part = _Part(segment, number, segment.segment.get("run"), stream)
+                part = _Part(segment, number, (segment.segment or {}).get("run"), stream)
                 found.setdefault(names[key], []).append(part)
         return {name: _order_parts(parts[::-1]) for name, parts in sorted(found.items())}
 
@@ -178,23 +193,56 @@ class SegmentedStore(FrameReader):
             if state == "live":
                 clock.sleep(0.02)
 
-    def _read_parts(self, name, last, stop, skip_damage):
+    def _read_parts(
+        self, name: str, last: Optional[int], stop: Optional[int], skip_damage: bool, lazy: bool = False
+    ) -> Iterator[Message]:
         for part in self._find_parts().get(name, []):
             info = part.stream
-            if not info.count or (last is not None and info.last <= last) or (stop is not None and info.first > stop):
+            if not info.count or (last is not None and part.last <= last) or (stop is not None and part.first > stop):
+                continue
+            start, limit = None if last is None else last + 1, _limit(part, stop)
+            if lazy:
+                yield from part.segment._read_range(info.name, start, limit, skip_damage)
+            else:
+                yield from part.segment.read(info.name, start, limit, skip_damage=skip_damage)
+
+    def _read_table(
+        self, name: str, start: Optional[int], stop: Optional[int], skip_damage: bool, report: Progress
+    ) -> Optional[dict[str, Any]]:
+        """Returns the columns of a stream of maps, or None if the messages have to be read one by one."""
+        np = values.import_numpy()
+        tables: list[dict[str, Any]] = []
+        for part in self._find_parts().get(name, []):
+            is_outside = (start is not None and part.last < start) or (stop is not None and part.first > stop)
+            if is_outside or not part.stream.count:
                 continue
             limit = _limit(part, stop)
-            yield from part.segment.read(info.name, None if last is None else last + 1, limit, skip_damage=skip_damage)
+            table = part.segment._read_table(part.stream.name, start, limit, skip_damage, report)
+            if table is None or (tables and _describe_columns(table) != _describe_columns(tables[0])):
+                return None
+            tables.append(table)
+        if len(tables) < 2:
+            return tables[0] if tables else None
+        return {key: np.concatenate([table[key] for table in tables]) for key in tables[0]}
+
+    def _read_range(self, name: str, start: Optional[int], stop: Optional[int], skip_damage: bool) -> Iterator[Message]:
+        """Yields the messages of a stream like `read`, but large ones as `Lazy`."""
+        return self._read_parts(name, None if start is None else start - 1, stop, skip_damage, True)
 
     def array(
-        self, name: str, start: Optional[int] = None, stop: Optional[int] = None, skip_damage: bool = False
+        self,
+        name: str,
+        start: Optional[int] = None,
+        stop: Optional[int] = None,
+        skip_damage: bool = False,
+        progress: Optional[bool] = None,
     ) -> tuple[Any, Any]:
-        """Returns the times (int64) and values of a stream as two numpy arrays, as `Store.array` does."""
+        """Returns the times (int64, ns) and values of a stream as two numpy arrays, as `Store.array` does."""
         np = values.import_numpy()
         if name not in self._find_parts():
             raise KeyError(f"unknown stream {name!r}; the streams are {sorted(self._find_parts())}")
         found = [
-            part.segment.array(part.stream.name, start, _limit(part, stop), skip_damage)
+            part.segment.array(part.stream.name, start, _limit(part, stop), skip_damage, progress)
             for part in self._find_parts()[name]
             if part.stream.count
         ]
@@ -204,46 +252,50 @@ class SegmentedStore(FrameReader):
         return np.concatenate([times for times, _ in found]), np.concatenate([data for _, data in found])
 
 
-def _limit(part, stop):
+def _describe_columns(table: dict[str, Any]) -> list[tuple[str, Any]]:
+    return [(name, column.dtype) for name, column in table.items()]
+
+
+def _limit(part: _Part, stop: Optional[int]) -> Optional[int]:
     if part.until is None:
         return stop
     return part.until - 1 if stop is None else min(stop, part.until - 1)
 
 
-def _count_visible(part):
+def _count_visible(part: _Part) -> int:
     if part.until is None:
         return part.stream.count
     return sum(1 for _ in part.segment.read(part.stream.name, stop=part.until - 1, skip_damage=True))
 
 
-def _order_parts(parts):
+def _order_parts(parts: list[_Part]) -> list[_Part]:
     """Orders the parts by run and time. A later run hides messages of earlier runs at or after its first message."""
     empty = [part for part in parts if not part.stream.count]
-    runs = {}
+    runs: dict[Any, list[_Part]] = {}
     for part in _separate_unmarked([part for part in parts if part.stream.count]):
         runs.setdefault(part.run, []).append(part)
-    ordered = []
+    ordered: list[_Part] = []
     for run in sorted(runs.values(), key=lambda parts: min(part.number for part in parts)):
-        for part in sorted(run, key=lambda part: part.stream.first):
-            while ordered and ordered[-1].run != part.run and ordered[-1].stream.last >= part.stream.first:
-                if ordered[-1].stream.first < part.stream.first:
-                    ordered[-1].until = part.stream.first
+        for part in sorted(run, key=lambda part: part.first):
+            while ordered and ordered[-1].run != part.run and ordered[-1].last >= part.first:
+                if ordered[-1].first < part.first:
+                    ordered[-1].until = part.first
                     break
                 ordered.pop()
             ordered.append(part)
     return empty + ordered if ordered else empty
 
 
-def _separate_unmarked(parts):
+def _separate_unmarked(parts: list[_Part]) -> list[_Part]:
     """Segments of earlier releases have no run. If they overlap, each of them counts as one."""
-    unmarked = sorted((part for part in parts if part.run is None), key=lambda part: part.stream.first)
-    if any(b.stream.first <= a.stream.last for a, b in zip(unmarked, unmarked[1:])):
+    unmarked = sorted((part for part in parts if part.run is None), key=lambda part: part.first)
+    if any(b.first <= a.last for a, b in zip(unmarked, unmarked[1:])):
         for part in unmarked:
             part.run = part.number
     return parts
 
 
-def list_versions(path):
+def list_versions(path: str) -> dict[int, str]:
     """Returns the folders of all versions of a name, by number."""
     root, name = os.path.split(path)
     root = root or "."
@@ -255,18 +307,18 @@ def list_versions(path):
     return {number: os.path.join(root, f"{prefix}{number:04}") for number in numbers}
 
 
-def open_path(path):
+def open_path(path: str, core: Optional[bool] = None) -> Union[Store, SegmentedStore]:
     """Opens a store's folder, all segments of `root/name`, or its newest version."""
     if not os.path.exists(os.path.join(path, "index.situ")):
         for folder in reversed(list_versions(path).values()):
             try:
-                store = Store(folder)
+                store = Store(folder, core)
             except (FileNotFoundError, Damaged):
                 # A crash may have left a version without an index.
                 continue
             if store.segment is None and not store.streams and len(list_versions(path)) > 1:
                 # A recorder has just begun, or was killed at that moment.
                 continue
-            return store if store.segment is None else SegmentedStore(path)
+            return store if store.segment is None else SegmentedStore(path, core)
         path = next(reversed(list_versions(path).values()), path)
-    return Store(path)
+    return Store(path, core)

@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
+from typing import Any, Callable, Union
 
-from .binary import Cursor, Damaged
+from .binary import Buffer, Cursor, Damaged
+
+TermReader = Callable[[Cursor, int, bool], Any]
 
 MAX_DEPTH = 512
 _VERSION = 131
@@ -35,7 +37,7 @@ class Atom(str):
         return f"Atom({str(self)!r})"
 
 
-class Struct(dict):
+class Struct(dict[Any, Any]):
     """An Elixir struct: a dict of its fields, which are also attributes."""
 
     def __init__(self, module: str, fields: Any = ()) -> None:
@@ -52,7 +54,7 @@ class Struct(dict):
         return f"Struct({self.module!r}, {dict(self)!r})"
 
 
-def decode_term(data):
+def decode_term(data: Buffer) -> Any:
     """Decodes a term. Raises `Damaged`, also for functions, processes and compressed terms."""
     # Plain numbers are by far the most frequent terms.
     if len(data) == 10 and data[0] == _VERSION and data[1] == 70:
@@ -68,7 +70,7 @@ def decode_term(data):
     return term
 
 
-def _read_term(cursor, depth, key):
+def _read_term(cursor: Cursor, depth: int, key: bool) -> Any:
     if depth > MAX_DEPTH:
         raise Damaged(f"a term is nested more than {MAX_DEPTH} levels deep")
     tag = cursor.read_bytes(1)[0]
@@ -78,22 +80,22 @@ def _read_term(cursor, depth, key):
     return reader(cursor, depth, key)
 
 
-def _build_atom_reader(layout):
-    def read_atom(cursor, _depth, key):
+def _build_atom_reader(layout: str) -> TermReader:
+    def read_atom(cursor: Cursor, _depth: int, key: bool) -> Any:
         name = _decode_text(cursor.read_bytes(cursor.read_struct(layout)[0]))
         return Atom(name) if key or name not in _ATOM_VALUES else _ATOM_VALUES[name]
 
     return read_atom
 
 
-def _decode_text(raw):
+def _decode_text(raw: Buffer) -> str:
     try:
         return bytes(raw).decode()
     except UnicodeDecodeError:
         return bytes(raw).decode("latin-1")
 
 
-def _read_binary(cursor, _depth, _key):
+def _read_binary(cursor: Cursor, _depth: int, _key: bool) -> Union[str, bytes]:
     raw = bytes(cursor.read_bytes(cursor.read_struct(">I")[0]))
     try:
         return raw.decode()
@@ -101,8 +103,8 @@ def _read_binary(cursor, _depth, _key):
         return raw
 
 
-def _build_bignum_reader(layout):
-    def read_bignum(cursor, _depth, _key):
+def _build_bignum_reader(layout: str) -> TermReader:
+    def read_bignum(cursor: Cursor, _depth: int, _key: bool) -> int:
         length, sign = cursor.read_struct(layout)
         value = int.from_bytes(cursor.read_bytes(length), "little")
         return -value if sign else value
@@ -110,21 +112,21 @@ def _build_bignum_reader(layout):
     return read_bignum
 
 
-def _read_elements(cursor, count, depth, key=False):
+def _read_elements(cursor: Cursor, count: int, depth: int, key: bool = False) -> list[Any]:
     # Every element takes at least one byte, so this check limits the memory that a forged count can allocate.
     if count > len(cursor.data) - cursor.position:
         raise Damaged("a term has more elements than bytes")
     return [_read_term(cursor, depth + 1, key) for _ in range(count)]
 
 
-def _read_list(cursor, depth, _key):
+def _read_list(cursor: Cursor, depth: int, _key: bool) -> list[Any]:
     elements = _read_elements(cursor, cursor.read_struct(">I")[0], depth)
     if _read_term(cursor, depth + 1, True) != []:
         raise Damaged("a term contains an improper list")
     return elements
 
 
-def _read_map(cursor, depth, _key):
+def _read_map(cursor: Cursor, depth: int, _key: bool) -> Any:
     (count,) = cursor.read_struct(">I")
     if 2 * count > len(cursor.data) - cursor.position:
         raise Damaged("a term has more elements than bytes")
@@ -142,11 +144,11 @@ def _read_map(cursor, depth, _key):
     return Struct(module, fields) if module else fields
 
 
-def _build_tuple_reader(layout):
+def _build_tuple_reader(layout: str) -> TermReader:
     return lambda cursor, depth, key: tuple(_read_elements(cursor, cursor.read_struct(layout)[0], depth, key))
 
 
-def _build_number_reader(layout):
+def _build_number_reader(layout: str) -> TermReader:
     return lambda cursor, _depth, _key: cursor.read_struct(layout)[0]
 
 
@@ -170,7 +172,7 @@ _READERS = {
 }
 
 
-def encode_term(term):
+def encode_term(term: Any) -> bytes:
     """Encodes a term. Raises TypeError for values that are not plain data."""
     kind = type(term)
     if kind is float and math.isfinite(term):
@@ -182,7 +184,7 @@ def encode_term(term):
     return bytes(out)
 
 
-def _write_term(term, out, depth):
+def _write_term(term: Any, out: bytearray, depth: int) -> None:
     if depth > MAX_DEPTH:
         raise TypeError(f"cannot encode a value that is nested more than {MAX_DEPTH} levels deep")
     if isinstance(term, Atom):
@@ -220,14 +222,14 @@ def _write_term(term, out, depth):
         raise TypeError(f"cannot encode a {type(term).__name__}: use numbers, str, bytes, None, list, tuple or dict")
 
 
-def _write_atom(name, out):
+def _write_atom(name: str, out: bytearray) -> None:
     raw = name.encode()
     if len(raw) > 255:
         raise TypeError(f"cannot encode an atom of {len(raw)} bytes: the maximum is 255")
     out += struct.pack(">BB", 119, len(raw)) + raw
 
 
-def _write_int(value, out):
+def _write_int(value: int, out: bytearray) -> None:
     if 0 <= value < 256:
         out += struct.pack(">BB", 97, value)
     elif -(1 << 31) <= value < 1 << 31:
@@ -238,7 +240,7 @@ def _write_int(value, out):
         out += struct.pack(layout, tag, len(raw), value < 0) + raw
 
 
-def _write_float(value, out):
+def _write_float(value: float, out: bytearray) -> None:
     if math.isfinite(value):
         out += struct.pack(">Bd", 70, value)
     else:

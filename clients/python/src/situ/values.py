@@ -6,7 +6,7 @@ import dataclasses
 import struct
 from typing import Any, Optional
 
-from .binary import Damaged, Missing
+from .binary import Buffer, Damaged, Missing
 
 
 def import_numpy() -> Any:
@@ -44,7 +44,7 @@ _SAMPLE_BYTES = {"u8": 1, "s16": 2, "s24": 3, "s32": 4, "f32": 4, "f64": 8}
 TENSOR_TYPES = ["<f4", "<f8", "i1", "<i2", "<i4", "<i8", "u1", "<u2", "<u4", "<u8", "?", "<f2", "bf16"]
 
 
-def _require(condition, what):
+def _require(condition: Any, what: str) -> None:
     if not condition:
         raise Damaged(what)
 
@@ -53,11 +53,15 @@ class _Value:
     """Base class whose `repr` shows long bytes by their length, since an image has millions of them."""
 
     def __repr__(self) -> str:
-        shown = (f"{field.name}={_format_field(getattr(self, field.name))}" for field in dataclasses.fields(self))
+        shown = (f"{name}={_format_field(field)}" for name, field in vars(self).items())
         return f"{type(self).__name__}({', '.join(shown)})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A view of a mapped file cannot be pickled, but its bytes can.
+        return {name: bytes(item) if isinstance(item, memoryview) else item for name, item in vars(self).items()}
 
-def _format_field(value):
+
+def _format_field(value: Any) -> str:
     long = isinstance(value, (bytes, bytearray, memoryview)) and len(value) > 16
     return f"<{len(value)} bytes>" if long else repr(value)
 
@@ -79,7 +83,7 @@ class Image(_Value):
     height: int
     format: str
     stride: int
-    data: bytes
+    data: Buffer
 
     NAME = "situ.image"
     TYPE = "Situ.Image"
@@ -110,7 +114,8 @@ class Image(_Value):
         """
         _, bits, channels = IMAGE_FORMATS[_IMAGE_CODES[self.format]]
         pixel = bits * channels // 8
-        shape, strides = (self.height, self.width), (self.stride, pixel)
+        shape: tuple[int, ...] = (self.height, self.width)
+        strides: tuple[int, ...] = (self.stride, pixel)
         if channels > 1:
             shape, strides = (*shape, channels), (*strides, bits // 8)
         return import_numpy().ndarray(shape, "u1" if bits == 8 else "<u2", self.data, strides=strides)
@@ -126,11 +131,11 @@ class Image(_Value):
     def encode(self) -> bytes:
         return self._encode_head() + bytes(self.data)
 
-    def _encode_head(self):
+    def _encode_head(self) -> bytes:
         return self.HEAD.pack(1, _IMAGE_CODES[self.format], 0, self.width, self.height, self.stride)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> Image:
         _require(len(raw) >= cls.HEAD.size, "an image is shorter than its header")
         version, code, _, width, height, stride = cls.HEAD.unpack_from(raw)
         _require(version == 1 and code in IMAGE_FORMATS, "an image has an unknown version or format")
@@ -153,7 +158,7 @@ class DepthImage(_Value):
     stride: int
     scale: float
     semantics: str
-    data: bytes
+    data: Buffer
 
     NAME = "situ.depth_image"
     TYPE = "Situ.DepthImage"
@@ -180,7 +185,7 @@ class DepthImage(_Value):
         return head + bytes(self.data)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> DepthImage:
         _require(len(raw) >= cls.HEAD.size and raw[0] == 1, "a depth image is too short or has an unknown version")
         _, semantics, _, width, height, stride, scale = cls.HEAD.unpack_from(raw)
         data = raw[cls.HEAD.size :]
@@ -196,7 +201,7 @@ class EncodedImage(_Value):
     format: str
     width: int
     height: int
-    data: bytes
+    data: Buffer
 
     NAME = "situ.encoded_image"
     TYPE = "Situ.EncodedImage"
@@ -206,7 +211,7 @@ class EncodedImage(_Value):
         return self.HEAD.pack(1, {"jpeg": 1, "png": 2}[self.format], 0, self.width, self.height, 0) + bytes(self.data)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> EncodedImage:
         _require(len(raw) >= cls.HEAD.size, "an encoded image is shorter than its header")
         version, code, _, width, height, _ = cls.HEAD.unpack_from(raw)
         _require(version == 1 and code in (1, 2), "an encoded image has an unknown version or format")
@@ -220,7 +225,7 @@ class AudioBuffer(_Value):
     rate: int
     channels: int
     sample: str
-    data: bytes
+    data: Buffer
 
     NAME = "situ.audio_buffer"
     TYPE = "Situ.AudioBuffer"
@@ -267,7 +272,7 @@ class AudioBuffer(_Value):
         return self.HEAD.pack(1, _SAMPLE_CODES[self.sample], self.channels, self.rate) + bytes(self.data)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> AudioBuffer:
         _require(len(raw) >= cls.HEAD.size, "an audio buffer is shorter than its header")
         version, code, channels, rate = cls.HEAD.unpack_from(raw)
         known = version == 1 and code in SAMPLE_FORMATS and channels and rate
@@ -282,8 +287,8 @@ class Tensor(_Value):
     """A tensor: numbers with a shape. A numpy array is written as a tensor."""
 
     dtype: str
-    shape: tuple
-    data: bytes
+    shape: tuple[int, ...]
+    data: Buffer
 
     NAME = "situ.tensor"
     TYPE = "Situ.Tensor"
@@ -316,12 +321,12 @@ class Tensor(_Value):
     def encode(self) -> bytes:
         return self._encode_head() + bytes(self.data)
 
-    def _encode_head(self):
+    def _encode_head(self) -> bytes:
         dims = struct.pack(f"<{len(self.shape)}I", *self.shape)
         return bytes([TENSOR_TYPES.index(self.dtype), len(self.shape)]) + dims
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> Tensor:
         known = len(raw) >= 2 and raw[0] < len(TENSOR_TYPES) and len(raw) >= 2 + 4 * raw[1]
         _require(known, "a tensor is too short or has an unknown type")
         shape = struct.unpack_from(f"<{raw[1]}I", raw, 2)
@@ -337,9 +342,9 @@ class Tensor(_Value):
 class PointCloud(_Value):
     """A point cloud: points of three float32 (metres), with optional colors (uint8) and values (float32)."""
 
-    points: bytes
-    colors: Optional[bytes] = None
-    values: Optional[bytes] = None
+    points: Buffer
+    colors: Optional[Buffer] = None
+    values: Optional[Buffer] = None
 
     NAME = "situ.point_cloud"
     TYPE = "Situ.PointCloud"
@@ -348,7 +353,10 @@ class PointCloud(_Value):
     def from_array(cls, points: Any, colors: Any = None, values: Any = None) -> PointCloud:
         """Builds a cloud from arrays: points (n, 3), colors (n, 3) and values (n)."""
         np = import_numpy()
-        to_bytes = lambda array, kind: None if array is None else np.ascontiguousarray(array, kind).tobytes()
+
+        def to_bytes(array: Any, kind: str) -> Any:
+            return None if array is None else np.ascontiguousarray(array, kind).tobytes()
+
         return cls(to_bytes(points, "<f4"), to_bytes(colors, "u1"), to_bytes(values, "<f4"))
 
     @property
@@ -372,7 +380,7 @@ class PointCloud(_Value):
         return head + bytes(self.points) + bytes(self.colors or b"") + bytes(self.values or b"")
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> PointCloud:
         known = len(raw) >= 8 and raw[0] == 1 and raw[1] in range(4)
         _require(known, "a point cloud is too short or has an unknown version")
         count = struct.unpack_from("<I", raw, 4)[0]
@@ -389,8 +397,8 @@ class PointCloud(_Value):
 class Pose(_Value):
     """A pose: a position in metres and a rotation as a quaternion (w, i, j, k)."""
 
-    position: tuple
-    rotation: tuple
+    position: tuple[float, ...]
+    rotation: tuple[float, ...]
 
     NAME = "situ.pose"
     TYPE = "Situ.Pose"
@@ -400,7 +408,7 @@ class Pose(_Value):
         return self.LAYOUT.pack(1, *self.position, *self.rotation)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> Pose:
         _require(len(raw) == cls.LAYOUT.size and raw[0] == 1, "a pose has a wrong size or an unknown version")
         numbers = cls.LAYOUT.unpack(raw)[1:]
         return cls(numbers[:3], numbers[3:])
@@ -411,31 +419,31 @@ class Undecoded(_Value):
     """The bytes of a value whose codec this package does not know."""
 
     codec: str
-    data: bytes
+    data: Buffer
 
 
 CODECS = {kind.NAME: kind for kind in (Image, DepthImage, EncodedImage, AudioBuffer, Tensor, PointCloud, Pose)}
 
 
-def decode_value(name, raw):
+def decode_value(name: str, raw: Any) -> Any:
     """Decodes the bytes of the codec `name`. Raises `Damaged`."""
     return CODECS[name].decode(raw) if name in CODECS else Undecoded(name, bytes(raw))
 
 
-def encode_parts(value):
+def encode_parts(value: Any) -> list[memoryview]:
     """Returns the encoded value as memoryviews. The last one is the own memory of an image or tensor."""
     if isinstance(value, (Image, Tensor)):
         return [memoryview(value._encode_head()), memoryview(value.data)]
     return [memoryview(value.encode())]
 
 
-def to_writable(value, copy=True):
+def to_writable(value: Any, copy: bool = True) -> Any:
     """Converts a numpy array to a tensor and a numpy number to a Python number; returns other values unchanged."""
     if not hasattr(value, "__array__"):
         return value
     return Tensor.from_array(value, copy) if getattr(value, "ndim", 0) > 0 else value.item()
 
 
-def find_codec(value):
+def find_codec(value: Any) -> Any:
     """Returns the class that encodes a value, or None if the value has no binary layout."""
     return type(value) if type(value) in CODECS.values() else None

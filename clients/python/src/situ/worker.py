@@ -4,6 +4,8 @@ Situ and the worker exchange frames over a Unix socket: a length (32 bits, big-e
 little-endian order. `Situ.Python.Protocol` is the counterpart and describes the frames.
 """
 
+from __future__ import annotations
+
 import faulthandler
 import importlib
 import importlib.util
@@ -16,9 +18,11 @@ import struct
 import sys
 import time as clock
 import traceback
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Callable, Optional
 
 from . import component, shared_memory, terms, times, values
-from .binary import Damaged, Missing
+from .binary import Buffer, Damaged, Missing
 
 _MESSAGE = struct.Struct("<BqqQB")
 _SLOT = struct.Struct("<IQQQ")
@@ -27,12 +31,16 @@ _EMISSION = struct.Struct("<BqB")
 _RECEIVE = 1 << 18
 # Results wait for others at most this long.
 _FLUSH_NS = 1_000_000
+if TYPE_CHECKING:
+    _StreamHandler = logging.StreamHandler[Any]
+else:
+    _StreamHandler = logging.StreamHandler
 
 
 class StartError(Exception):
     """The component cannot be started: a code for programs, and what, why and fix for people."""
 
-    def __init__(self, code, what, why=None, fix=None):
+    def __init__(self, code: str, what: str, why: Optional[str] = None, fix: Optional[str] = None) -> None:
         super().__init__(what)
         self.term = {"code": code, "what": what, "why": why, "fix": fix}
 
@@ -40,12 +48,12 @@ class StartError(Exception):
 class Connection:
     """Reads and writes frames."""
 
-    def __init__(self, path):
+    def __init__(self, path: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.connect(path)
         self._received = bytearray()
 
-    def read_frame(self):
+    def read_frame(self) -> Optional[bytes]:
         """Returns the next frame, or None at the end of the connection."""
         while True:
             if len(self._received) >= 4:
@@ -59,30 +67,30 @@ class Connection:
                 return None
             self._received += part
 
-    def write_frame(self, *parts):
+    def write_frame(self, *parts: Buffer) -> None:
         size = sum(len(part) for part in parts)
         self._socket.sendall(b"".join((struct.pack(">I", size), *parts)))
 
-    def close(self):
+    def close(self) -> None:
         self._socket.close()
 
 
 class Worker:
     """Calls the component for each message and returns its results."""
 
-    def __init__(self, connection):
+    def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._started = 0
         self._failed = False
         self._forked = False
         os.register_at_fork(after_in_child=self._leave_connection)
 
-    def _leave_connection(self):
+    def _leave_connection(self) -> None:
         """Leaves the messages to the parent, after a handler has forked."""
         self._connection.close()
         self._forked = True
 
-    def start(self, term):
+    def start(self, term: dict[str, Any]) -> None:
         self._inputs, self._outputs = term["inputs"], {name: i for i, name in enumerate(term["outputs"])}
         self._image_outputs = {i for i, kind in enumerate(term["types"]) if kind == "Situ.Image"}
         self._stops, self._batch = term["on_error"] != "skip", term["batch"]
@@ -94,7 +102,7 @@ class Worker:
         self._out = shared_memory.OutputSlots(folder / "out", term["shared"])
         self._journal = shared_memory.Journal(folder / "journal")
         kind = _load_class(term["source"], term["class"])
-        self._component = kind()
+        self._component: Any = kind()
         self._component._memory = self._out
         options = {str(key): value for key, value in term["options"].items()}
         try:
@@ -112,10 +120,10 @@ class Worker:
         version = ".".join(str(part) for part in sys.version_info[:3])
         self._connection.write_frame(b"O", _LENGTH.pack(os.getpid()), version.encode())
 
-    def _generate(self, _value, _envelope):
+    def _generate(self, _value: Any, _envelope: Any) -> Any:
         return component.list_results(next(self._values), times.now())
 
-    def run(self):
+    def run(self) -> None:
         """Handles frames until the connection ends."""
         while True:
             frame = self._connection.read_frame()
@@ -136,7 +144,7 @@ class Worker:
             else:
                 raise Damaged(f"unknown frame {kind!r}")
 
-    def _handle_messages(self, frame):
+    def _handle_messages(self, frame: bytes) -> None:
         self._started = clock.monotonic_ns()
         messages = self._read_messages(frame)
         results = self._handle_batches(list(messages)) if self._batch > 1 else self._handle_each(messages)
@@ -149,14 +157,14 @@ class Worker:
                 return
         self._flush()
 
-    def _read_messages(self, frame):
+    def _read_messages(self, frame: bytes) -> Iterator[Any]:
         """Yields the number of the input, the place of the value, and the envelope of each message."""
         position, size = 1, len(frame)
         while position < size:
             index, time, creation, sequence, shared = _MESSAGE.unpack_from(frame, position)
             position += _MESSAGE.size
             if shared:
-                place = _SLOT.unpack_from(frame, position)
+                place: Any = _SLOT.unpack_from(frame, position)
                 position += _SLOT.size
             else:
                 (length,) = _LENGTH.unpack_from(frame, position)
@@ -165,27 +173,27 @@ class Worker:
                 position += length
             yield index, place, component.Envelope(time, creation, sequence, self._inputs[index])
 
-    def _handle_each(self, messages):
+    def _handle_each(self, messages: Any) -> Iterator[bytes]:
         for message in messages:
             if not self._failed:
                 yield self._call(self._handle, message[2].time, *message)
 
-    def _handle(self, index, place, envelope):
+    def _handle(self, index: int, place: Any, envelope: Any) -> Any:
         raw = place if isinstance(place, bytes) else self._slots.view(*place)
         return self._handlers[index](_decode_value(raw), envelope)
 
-    def _handle_batches(self, messages):
+    def _handle_batches(self, messages: list[Any]) -> Iterator[bytes]:
         for start in range(0, len(messages), self._batch):
             batch = messages[start : start + self._batch]
             # If a batch fails, its messages are handled one by one, so that only the cause is lost.
             yield from self._call_batch(batch) or self._handle_each_alone(batch)
 
-    def _handle_each_alone(self, batch):
+    def _handle_each_alone(self, batch: list[Any]) -> Iterator[bytes]:
         for message in batch:
             if not self._failed:
                 yield self._call(lambda: self._handle_batch([message])[0], message[2].time)
 
-    def _call_batch(self, batch):
+    def _call_batch(self, batch: list[Any]) -> Optional[list[bytes]]:
         """Returns the encoded results of a batch, or None if it fails."""
         if len(batch) == 1:
             return None
@@ -198,16 +206,16 @@ class Worker:
         except (Exception, SystemExit, KeyboardInterrupt):
             return None
 
-    def _handle_batch(self, batch):
+    def _handle_batch(self, batch: list[Any]) -> Any:
         returned = self._component.on_batch([self._read_value(message[1]) for message in batch], [m[2] for m in batch])
         if not isinstance(returned, (list, tuple)) or len(returned) != len(batch):
             raise TypeError(f"on_batch must return a list with a result for each of the {len(batch)} values")
         return returned
 
-    def _read_value(self, place):
+    def _read_value(self, place: Any) -> Any:
         return _decode_value(place if isinstance(place, bytes) else self._slots.view(*place))
 
-    def _call(self, function, time, *arguments):
+    def _call(self, function: Callable[..., Any], time: int, *arguments: Any) -> bytes:
         """Calls a function of the component; returns its encoded result."""
         try:
             returned = function(*arguments)
@@ -221,25 +229,25 @@ class Worker:
             self._failed = self._stops
             return _encode_failure()
 
-    def _encode_results(self, results):
+    def _encode_results(self, results: Any) -> bytes:
         emissions = [self._encode(time, name, value) for time, dict in results for name, value in dict.items()]
         return b"".join((b"\0", struct.pack("<H", len(emissions)), *emissions))
 
-    def _take_snapshot(self):
+    def _take_snapshot(self) -> bytes:
         """Returns the encoded state of the component."""
         try:
             return b"\0" + struct.pack("<H", 1) + self._encode_emission(0, 0, self._component.snapshot())
         except Exception:
             return _encode_failure()
 
-    def _restore(self, raw):
+    def _restore(self, raw: Any) -> bytes:
         try:
             self._component.restore(_decode_value(raw))
             return b"\0" + struct.pack("<H", 0)
         except Exception:
             return _encode_failure()
 
-    def _encode(self, time, name, value):
+    def _encode(self, time: int, name: str, value: Any) -> bytes:
         index = self._outputs.get(name)
         if index is None:
             raise TypeError(
@@ -250,7 +258,7 @@ class Worker:
             value = values.Image.from_array(value, copy=False)
         return self._encode_emission(index, time, value)
 
-    def _encode_emission(self, index, time, value):
+    def _encode_emission(self, index: int, time: int, value: Any) -> bytes:
         if type(value) in (float, int):
             raw = terms.encode_term(value)
             return _EMISSION.pack(index, time, 0) + _LENGTH.pack(len(raw) + 1) + b"\0" + raw
@@ -262,14 +270,14 @@ class Worker:
                 return _EMISSION.pack(index, time, 1) + _SLOT.pack(*place)
         return b"".join((_EMISSION.pack(index, time, 0), _LENGTH.pack(length), *parts))
 
-    def _add_result(self, result):
+    def _add_result(self, result: bytes) -> None:
         if not self._journal.append(result):
             self._flush()
             if not self._journal.append(result):
                 self._connection.write_frame(b"T", self._measure_spent(), result)
                 self._journal.skip_result()
 
-    def _flush(self):
+    def _flush(self) -> None:
         results = self._journal.take_unsent()
         if results:
             self._connection.write_frame(b"T", self._measure_spent(), results)
@@ -277,19 +285,19 @@ class Worker:
         if free:
             self._connection.write_frame(b"L", *(_LENGTH.pack(slot) for slot in free))
 
-    def _measure_spent(self):
+    def _measure_spent(self) -> bytes:
         """Returns the encoded time since the last results, or since the frame has arrived."""
         started, self._started = self._started, clock.monotonic_ns()
         return struct.pack("<Q", self._started - started)
 
 
-def _encode_failure():
+def _encode_failure() -> bytes:
     """Encodes the current exception."""
     text, fix = (part.encode(errors="replace") for part in (_format_exception(), _find_fix()))
     return b"".join((b"\1", _LENGTH.pack(len(text)), text, _LENGTH.pack(len(fix)), fix))
 
 
-def _decode_value(raw):
+def _decode_value(raw: Any) -> Any:
     """Decodes a value in the format `"situ"` without its time (`situ.formats`)."""
     size = raw[0]
     payload = raw[1 + size :]
@@ -298,7 +306,7 @@ def _decode_value(raw):
     return terms.decode_term(payload)
 
 
-def _encode_value(value):
+def _encode_value(value: Any) -> list[memoryview]:
     """Encodes a value in the format `"situ"` without its time; returns memoryviews of bytes."""
     value = values.to_writable(value, copy=False)
     codec = values.find_codec(value)
@@ -307,7 +315,7 @@ def _encode_value(value):
     return [memoryview(b"\0" + terms.encode_term(value))]
 
 
-def describe(source):
+def describe(source: str) -> None:
     """Prints the components of a file as JSON."""
     try:
         module = _load_file(source)
@@ -318,12 +326,12 @@ def describe(source):
     print("\n" + json.dumps(described))
 
 
-def _load_class(source, name):
+def _load_class(source: str, name: str) -> type[component.Component]:
     module = _load_file(source) if source.endswith(".py") else _load_module(source)
     kind = getattr(module, name, None)
     if kind is None:
-        local = lambda value: isinstance(value, type) and value.__module__ == module.__name__
-        classes = [key for key, value in vars(module).items() if local(value)]
+        found = ((key, value) for key, value in vars(module).items() if isinstance(value, type))
+        classes = [key for key, value in found if value.__module__ == module.__name__]
         known = f"it defines {', '.join(classes)}" if classes else "it defines no class"
         raise StartError("no_python_class", f"{source} has no class {name}", known, f"write {source}:CLASS")
     if not (isinstance(kind, type) and issubclass(kind, component.Component)):
@@ -332,22 +340,22 @@ def _load_class(source, name):
     return kind
 
 
-def _load_file(source):
+def _load_file(source: str) -> Any:
     path = pathlib.Path(source).resolve()
     sys.path[0:0] = [str(path.parent)]
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     # Modules that refer to themselves (pickle, dataclasses) find the module here.
     sys.modules[path.stem] = module
     return _import(source, lambda: spec.loader.exec_module(module) or module)
 
 
-def _load_module(source):
+def _load_module(source: str) -> Any:
     sys.path[0:0] = [os.getcwd()]
     return _import(source, lambda: importlib.import_module(source))
 
 
-def _import(source, load):
+def _import(source: str, load: Callable[[], Any]) -> Any:
     try:
         return load()
     except ModuleNotFoundError as error:
@@ -358,16 +366,16 @@ def _import(source, load):
         raise StartError("python_failed", f"{source} cannot be imported", _format_exception()) from None
 
 
-def _format_exception():
+def _format_exception() -> str:
     """Formats the current exception without the frames of this package at the beginning."""
     kind, error, trace = sys.exc_info()
     here = os.path.dirname(__file__) + os.sep
-    while trace.tb_next and trace.tb_frame.f_code.co_filename.startswith((here, "<frozen importlib")):
+    while trace and trace.tb_next and trace.tb_frame.f_code.co_filename.startswith((here, "<frozen importlib")):
         trace = trace.tb_next
     return "".join(traceback.format_exception(kind, error, trace)).rstrip()
 
 
-def _find_fix():
+def _find_fix() -> str:
     """Proposes how to fix the current exception, or returns an empty string."""
     error = sys.exc_info()[1]
     missing = "numpy" if isinstance(error, Missing) and "numpy" in str(error) else getattr(error, "name", None)
@@ -376,23 +384,23 @@ def _find_fix():
     return "increase memory:" if isinstance(error, MemoryError) else ""
 
 
-def _limit_memory(size):
+def _limit_memory(size: int) -> None:
     import resource
 
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
 
 
-class _LogHandler(logging.StreamHandler):
+class _LogHandler(_StreamHandler):
     """Writes log records to standard error. Situ reads the level from the prefix, as journald does."""
 
     LEVELS = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (0, 7))
 
-    def format(self, record):
+    def format(self, record: logging.LogRecord) -> str:
         level = next(level for least, level in self.LEVELS if record.levelno >= least)
         return "\n".join(f"<{level}>{line}" for line in super().format(record).splitlines())
 
 
-def main(path):
+def main(path: str) -> None:
     # The group contains the processes that the component starts, so that all of them can be ended together.
     os.setpgid(0, 0)
     faulthandler.enable()
@@ -402,7 +410,7 @@ def main(path):
     connection = Connection(path)
     worker = Worker(connection)
     try:
-        worker.start(terms.decode_term(connection.read_frame()[1:]))
+        worker.start(terms.decode_term((connection.read_frame() or b"")[1:]))
     except StartError as error:
         connection.write_frame(b"E", terms.encode_term(error.term))
         return
