@@ -10,7 +10,7 @@ defmodule Situ.Link.MixProject do
   def application do
     Situ.MixApp.application([:crypto, :ssl, :public_key],
       mod: {Situ.Link.Application, []},
-      env: [recording_formats: [Situ.Link.Recording]]
+      env: [recording_formats: [Situ.Link.Recording], metrics: [Situ.Link.LinkMetrics]]
     )
   end
 end

@@ -13,7 +13,10 @@ defmodule Situ.Store.MixProject do
   def application do
     Situ.MixApp.application([],
       mod: {Situ.Store.Application, []},
-      env: [recording_formats: [Situ.Store.Csv, Situ.Store.S3]]
+      env: [
+        recording_formats: [Situ.Store.Csv, Situ.Store.S3],
+        metrics: [Situ.Store.StoreMetrics]
+      ]
     )
   end
 end

@@ -91,7 +91,7 @@ defmodule Make do
       p |> Situ.from_enumerable(1..30, every: Situ.Time.ms(10)) |> Store.write(store, "Numbers")
     end
 
-    {:ok, _} = Situ.Pipeline.run(build, replay: [interval: {0, :unbounded}, speed: :max])
+    {:ok, _} = Situ.Pipeline.run(build)
   end
 
   defp write_annotations(folder) do

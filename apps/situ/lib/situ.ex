@@ -131,6 +131,15 @@ defmodule Situ do
   @doc """
   Adds a source and returns its stream, or a map of streams if it has several outputs.
 
+      iex> defmodule Countdown do
+      ...>   use Situ.Component, outputs: [out: :integer], options: [from: [type: :pos_integer]]
+      ...>   def init(opts), do: {:ok, opts[:from]}
+      ...>   def handle_demand(_n, _context, 0), do: {[{:close, :out}], 0}
+      ...>   def handle_demand(_n, _context, n), do: {[{:out, -n, n}], n - 1}
+      ...> end
+      iex> Situ.Test.run([], fn _, p -> Situ.source(p, Countdown, from: 2) end)
+      {:ok, [{-2, 2}, {-1, 1}]}
+
   `opts` are the component's own options and the options of `Situ.Graph.Placement` (`name:`, `on_error:` ...).
   """
   @doc group: "Components"
@@ -144,6 +153,15 @@ defmodule Situ do
 
   @doc """
   Sends a stream (or `[input: stream, ...]`) through a component. Returns the same as `source/3`.
+
+      iex> defmodule Rise do
+      ...>   use Situ.Component, inputs: [in: :number], outputs: [out: :number]
+      ...>   def init(_opts), do: {:ok, 0}
+      ...>   def handle_message(:in, %{data: n}, _context, last) when n <= last, do: {[], last}
+      ...>   def handle_message(:in, m, _context, _last), do: {[{:out, m.originating_time, m.data}], m.data}
+      ...> end
+      iex> Situ.Test.run([n: [{0, 1}, {5, 0}, {10, 2}]], &Situ.via(&1.n, Rise, name: "Rise"))
+      {:ok, [{0, 1}, {10, 2}]}
 
   `opts` are the component's own options and the placement options of `Situ.Graph.Placement` (`name:`, `policy:`,
   `on_error:` ...).
@@ -213,7 +231,10 @@ defmodule Situ do
   # Functions on data
 
   @doc """
-  Applies `fun` to the data (or to the data and the message).
+  Applies `fun` to the data (or to the data and the message, whose `originating_time` is in ns).
+
+  Like every function on streams, it also takes the options `name:`, `policy:`, `on_error:` and `async:` of
+  `Situ.Graph.Placement`.
 
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable([1, 2, 3], every: 10) |> Situ.map(&(&1 * 2)) end)
       [2, 4, 6]
@@ -269,6 +290,9 @@ defmodule Situ do
   @doc """
   Passes only the messages for which `fun` (of the data, or of the data and the message) returns true.
 
+  Like every function on streams, it also takes the options `name:`, `policy:`, `on_error:` and `async:` of
+  `Situ.Graph.Placement`.
+
       iex> Situ.Test.run([n: [{0, 1}, {10, 2}, {20, 3}]], &Situ.filter(&1.n, fn n -> n != 2 end))
       {:ok, [{0, 1}, {20, 3}]}
   """
@@ -280,6 +304,9 @@ defmodule Situ do
   @doc """
   Calls `fun` (of the data, or of the data and the message; with `columns: true`, of `Situ.Columns`) for its side effect
   and passes the message through.
+
+  An exception in `fun` ends the pipeline, unless `on_error: :skip` is given. Like every function on streams, it also
+  takes the options `name:`, `policy:` and `async:` of `Situ.Graph.Placement`.
 
       iex> me = self()
       iex> Situ.Test.run([n: [{0, 1}, {10, 2}]], &Situ.each(&1.n, fn n -> send(me, n) end))
@@ -412,7 +439,8 @@ defmodule Situ do
 
   #{Options.docs(Fusion.option_schema(:fuse))}
 
-  `policy:` may be a list with one policy per input, primary first.
+  `policy:` may be a list with one policy per input, primary first. `name:`, `on_error:` and the other options of
+  `Situ.Graph.Placement` are possible, too.
   """
   @doc group: "Fusion: streams brought together by time"
   @spec join(
@@ -480,6 +508,11 @@ defmodule Situ do
   Emits the messages of all streams as they arrive, each as a complete `Situ.Message`, with the clock's time.
   Reproducible: no.
 
+      iex> inputs = [left: [{0, :a}, {10, :b}], right: [{5, :c}]]
+      iex> {:ok, merged} = Situ.Test.run(inputs, &Situ.merge(&1.left, &1.right))
+      iex> Enum.sort(for {_time, message} <- merged, do: {message.originating_time, message.data})
+      [{0, :a}, {5, :c}, {10, :b}]
+
   Streams can be added and removed while the pipeline is running (`add_input/4`, `remove_input/3`). The initial
   streams have the keys 0, 1, 2 ...
   """
@@ -490,9 +523,17 @@ defmodule Situ do
   @doc """
   Adds a stream to a join or fusion over a map, or to a merge, while the pipeline is running. Its key is `key`.
 
-      fused = Situ.join(image, %{left: left}, Situ.Time.ms(20))
-      ...
-      {:ok, from} = Situ.add_input(fused, :right, right)
+      iex> t = Situ.Test.start([:image, :left, :right], fn s ->
+      ...>   Situ.name(s.right, "Right")
+      ...>   s.image |> Situ.join(%{left: s.left}) |> Situ.name("All")
+      ...> end)
+      iex> {:ok, :start} = Situ.add_input({t.pipeline, "All"}, :right, "Right")
+      iex> for input <- [:image, :left, :right], do: Situ.Test.feed(t, input, {0, input})
+      iex> Situ.Test.outputs(t)
+      [{0, {:image, %{left: :left, right: :right}}}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
 
   `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Returns the
   originating time from which the input takes part, or `:start` if no message has arrived yet. Primaries from that
@@ -517,6 +558,18 @@ defmodule Situ do
   @doc """
   Removes the input `key` of a join or fusion over a map, or of a merge, while the pipeline is running. The input may
   have been added later or present from the start.
+
+      iex> t = Situ.Test.start([:image, :left], fn s ->
+      ...>   s.image |> Situ.join(%{left: s.left}) |> Situ.name("All")
+      ...> end)
+      iex> Situ.remove_input({t.pipeline, "All"}, :left)
+      {:ok, :start}
+      iex> Situ.Test.feed(t, :image, {0, :image})
+      iex> Situ.Test.outputs(t)
+      [{0, {:image, %{}}}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
 
   Returns the originating time from which primaries no longer need the input, or `:start` if no primary has arrived
   yet. The default, and earliest, time is after the last primary that has arrived; `until:` sets a later time. Earlier
@@ -767,6 +820,14 @@ defmodule Situ do
   @doc """
   Emits creation time minus originating time of each message as its data, ns, which is how late the message is here.
   Reproducible: no.
+
+      iex> t = Situ.Test.start([:n], &Situ.latency(&1.n), start: 100)
+      iex> Situ.Test.feed(t, :n, {70, :late})
+      iex> Situ.Test.outputs(t)
+      [{70, 30}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
   """
   @doc group: "Picking, moving, editing"
   @spec latency(Stream.t(), keyword()) :: Stream.t()
@@ -900,6 +961,15 @@ defmodule Situ do
 
   Reproducible: no. `repeat/3` has exact times, independent of the clock.
 
+      iex> t = Situ.Test.start([], fn _, p -> Situ.timer(p, every: 10) end)
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.outputs(t)
+      [{10, 10}, {20, 20}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+
   #{Options.docs(Generator.option_schema(:timer))}
   """
   @doc group: "Generators"
@@ -912,6 +982,16 @@ defmodule Situ do
   unless `on_same_time:` is set. The source never ends.
 
   Reproducible: no, since times depend on when data is posted. Record the stream to replay it.
+
+      iex> me = self()
+      iex> t = Situ.Test.start([], fn _, p -> Situ.event_source(p, &send(me, {:post, &1})) end, start: 100)
+      iex> post = receive do {:post, post} -> post end
+      iex> post.(:bell)
+      iex> Situ.Test.outputs(t)
+      [{100, :bell}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
 
   #{Options.docs(Generator.option_schema(:event_source))}
   """
@@ -1189,13 +1269,31 @@ defmodule Situ do
         ) :: {:ok, Tap.t()} | {:error, Error.t()}
   defdelegate attach_tap(target, fun, opts \\ []), to: Tap, as: :attach
 
-  @doc "Removes a tap that `attach_tap/3` added. Does nothing if its pipeline has already ended."
+  @doc """
+  Removes a tap that `attach_tap/3` added. Does nothing if its pipeline has already ended.
+
+      iex> t = Situ.Test.start([:n], &Situ.map(&1.n, fn n -> n end, name: "Same"))
+      iex> {:ok, tap} = Situ.attach_tap({t.pipeline, "Same"}, &IO.inspect/1)
+      iex> Situ.detach_tap(tap)
+      :ok
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
   @doc group: "Running pipelines"
   @spec detach_tap(Tap.t()) :: :ok
   defdelegate detach_tap(tap), to: Tap, as: :detach
 
   @doc """
   Prints a running pipeline as a table of edges (counts, queues, drops, latencies) and processes.
+
+      iex> t = Situ.Test.start([:n], &Situ.map(&1.n, fn n -> n end, name: "Same"))
+      iex> table = ExUnit.CaptureIO.capture_io(fn -> Situ.inspect(t.pipeline) end)
+      iex> table =~ "Same"
+      true
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
 
   With `refresh: ms` the table is printed repeatedly until the pipeline ends, or at most `times:` times.
   """

@@ -46,7 +46,7 @@ defmodule Situ.ApplicationGuideTest do
 
     assert {out, 0} = mix(dir, ["test"], "test")
     # Elixir 1.20 prints "Result: 1 passed".
-    assert out =~ ~r/^(1 test, 0 failures|Result: 1 passed)/m
+    assert out =~ ~r/^(2 tests, 0 failures|Result: 2 passed)/m
     refute out =~ "warning:"
 
     code = "run" |> blocks() |> Enum.join("\n")

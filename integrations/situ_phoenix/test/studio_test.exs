@@ -17,7 +17,7 @@ defmodule Situ.Phoenix.StudioTest do
           |> Situ.from_enumerable([1.0, 2.0, 1.5], every: 10)
           |> Situ.Store.write(store, "Level")
         end,
-        replay: [interval: {0, :unbounded}, speed: :max]
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
       )
 
     Application.put_env(:situ_phoenix, :recordings, dir)

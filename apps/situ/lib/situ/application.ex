@@ -15,6 +15,10 @@ defmodule Situ.Application do
       Situ.Application.CodeReload
     ]
 
+    Situ.Component.LogContext.install()
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)
   end
+
+  @impl true
+  def stop(_state), do: Situ.Component.LogContext.uninstall()
 end

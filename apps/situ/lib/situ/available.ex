@@ -14,18 +14,54 @@ defmodule Situ.Available do
   alias Situ.{Interpolator, Interval, Reproducible}
   alias Situ.Interpolator.{First, Last, Nearest}
 
-  @doc "Selects the message with exactly the requested time, if it has arrived."
+  @doc """
+  Selects the message with exactly the requested time, if it has arrived.
+
+      iex> t = Situ.Test.start([:image, :gaze], &Situ.fuse(&1.image, &1.gaze, Situ.Available.exact()))
+      iex> Situ.Test.feed(t, :gaze, [{7, 1}, {12, 3}])
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.feed(t, :image, {10, :image})
+      iex> Situ.Test.outputs(t)
+      []
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
   @spec exact(keyword()) :: Interpolator.t()
   def exact(opts \\ []), do: nearest(Interval.zero(), opts)
 
-  @doc "Selects the nearest message in the window that has arrived (default: any distance)."
+  @doc """
+  Selects the nearest message in the window that has arrived (default: any distance).
+
+      iex> t = Situ.Test.start([:image, :gaze], &Situ.fuse(&1.image, &1.gaze, Situ.Available.nearest()))
+      iex> Situ.Test.feed(t, :gaze, [{7, 1}, {12, 3}])
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.feed(t, :image, {10, :image})
+      iex> Situ.Test.outputs(t)
+      [{10, {:image, 1}}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
   @spec nearest(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.parse_window(window, opts, Interval.infinite())
     Interpolator.new(Nearest, {window, false}, [gives: :messages] ++ opts)
   end
 
-  @doc "Selects the first message in the window that has arrived (default: at or after the requested time)."
+  @doc """
+  Selects the first message in the window that has arrived (default: at or after the requested time).
+
+      iex> t = Situ.Test.start([:image, :gaze], &Situ.fuse(&1.image, &1.gaze, Situ.Available.first(5)))
+      iex> Situ.Test.feed(t, :gaze, [{7, 1}, {12, 3}])
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.feed(t, :image, {10, :image})
+      iex> Situ.Test.outputs(t)
+      [{10, {:image, 1}}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
   @spec first(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
     {window, opts} = Interpolator.parse_window(window, opts, Interval.future())
@@ -33,7 +69,19 @@ defmodule Situ.Available do
     Interpolator.new(First, {window, false}, [gives: :messages] ++ opts)
   end
 
-  @doc "Selects the last message in the window that has arrived (default: at or before the requested time)."
+  @doc """
+  Selects the last message in the window that has arrived (default: at or before the requested time).
+
+      iex> t = Situ.Test.start([:image, :gaze], &Situ.fuse(&1.image, &1.gaze, Situ.Available.last()))
+      iex> Situ.Test.feed(t, :gaze, [{7, 1}, {12, 3}])
+      iex> Situ.Test.advance(t, 10)
+      iex> Situ.Test.feed(t, :image, {10, :image})
+      iex> Situ.Test.outputs(t)
+      [{10, {:image, 1}}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
   @spec last(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.parse_window(window, opts, Interval.past())

@@ -242,4 +242,16 @@ defmodule Situ.Clock do
 
   defp ceil_ms(ns) when ns <= 0, do: 0
   defp ceil_ms(ns), do: min(div(ns + 999_999, 1_000_000), 4_000_000_000)
+
+  defimpl Inspect do
+    def inspect(%{kind: :manual} = clock, _opts),
+      do: "#Situ.Clock<manual at #{Situ.Clock.now(clock)} ns>"
+
+    def inspect(%{kind: :virtual} = clock, _opts) do
+      time = Situ.Time.to_iso8601(Situ.Clock.now(clock))
+      "#Situ.Clock<virtual at #{time}, speed #{Situ.Clock.speed(clock)}>"
+    end
+
+    def inspect(%{kind: kind}, _opts), do: "#Situ.Clock<#{kind}>"
+  end
 end

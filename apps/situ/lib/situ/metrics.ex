@@ -21,18 +21,33 @@ defmodule Situ.Metrics do
   | `pipeline_running`, `pipeline_uptime_seconds` | gauge | `pipeline` |
   | `messages_emitted_total`, `messages_processed_total`, `messages_dropped_total` | counter | `pipeline`, `from`, `to` |
   | `queue_messages` | gauge | `pipeline`, `from`, `to` |
-  | `latency_seconds` | summary: `quantile="0.99"`, sum and count | `pipeline`, `from`, `to` |
+  | `latency_seconds` | histogram | `pipeline`, `from`, `to` |
   | `handling_seconds_total` | counter | `pipeline`, `from`, `to` |
   | `component_errors_total`, `component_restarts_total`, `component_skipped_total` | counter | `pipeline`, `component` |
   | `process_memory_bytes`, `process_mailbox_messages` | gauge | `pipeline`, `component` |
   | `vm_memory_bytes` | gauge | `kind` |
   | `vm_processes`, `vm_run_queue` | gauge | |
   | `vm_uptime_seconds` | gauge | |
+  | `store_written_bytes_total` | counter | `store` |
+  | `link_connected`, `link_round_trip_seconds` | gauge | `address` |
+  | `link_connections_total`, `link_received_bytes_total` | counter | `address` |
+  | `link_received_messages_total`, `link_lost_messages_total` | counter | `address`, `stream` |
+  | `link_lag_seconds`, `link_waiting_bytes` | gauge | `address`, `stream` |
+  | `cluster_nodes`, `node_busy_cores`, `node_cores`, `machine_load` | gauge | |
+  | `round_trip_seconds` | gauge | `peer` |
+  | `cluster_lease_held`, `cluster_lease_epoch` | gauge | `deployment`, `part` |
 
   `from` and `to` are an output and an input (`"Mouth.Crop.out"`). Connections inside a process have no queue and are
   left out. A label `component` of a process names the first of its components. `latency_seconds` is the time from a
-  message's originating time to its delivery. Its quantile is the upper bound of a histogram bucket (within 25 %) over
-  the whole run.
+  message's originating time to its delivery. The limits of its buckets are powers of two of nanoseconds, from 16 us to
+  69 s. Under load, the last message of a batch is measured for all.
+
+  A pipeline has at most 500 series of each metric. The components and connections that were added after the first 500
+  are reported together, with `"(others)"` as the name.
+
+  Stores, links and leases are reported while a pipeline of this node writes or opens them. `store_written_bytes_total`
+  includes earlier segments of a recording. `link_lag_seconds` is how much older the last message was than the sender's
+  clock when the pipeline took it. It grows while received messages wait or the connection is lost.
 
   ## Your own metrics
 
@@ -61,13 +76,16 @@ defmodule Situ.Metrics do
 
   @typedoc """
   One metric. `name` consists of letters, digits and underscores. Samples of a summary have the third element
-  `:quantile`, `:sum` or `:count`.
+  `:quantile`, `:sum` or `:count`. Samples of a histogram have `:bucket`, `:sum` or `:count`. A bucket has a label `le`,
+  and counts all values up to this limit.
   """
   @type metric :: %{
           name: String.t(),
-          type: :counter | :gauge | :summary,
+          type: :counter | :gauge | :summary | :histogram,
           help: String.t(),
-          samples: [{labels(), number()} | {labels(), number(), :quantile | :sum | :count}]
+          samples: [
+            {labels(), number()} | {labels(), number(), :quantile | :bucket | :sum | :count}
+          ]
         }
 
   @doc "Returns the current metrics of an application."
@@ -75,16 +93,17 @@ defmodule Situ.Metrics do
 
   @doc """
   Returns the metrics of the pipelines that run on this node, of the VM, and of all applications that add their own. An
-  application whose metrics raise is left out, with a warning in the log.
+  application whose metrics fail is left out, with a warning in the log.
   """
   @spec collect() :: [metric()]
   def collect do
-    snapshots =
+    pipelines =
       for {_name, pid} <- Directory.list_pipelines(),
           {:ok, snapshot} <- [Client.fetch_snapshot(pid, @timeout)],
-          do: snapshot
+          {:ok, counters} <- [Client.fetch_counters(pid, @timeout)],
+          do: {snapshot, counters}
 
-    PipelineMetrics.build(snapshots) ++ VmMetrics.collect_metrics() ++ collect_own()
+    PipelineMetrics.build(pipelines) ++ VmMetrics.collect_metrics() ++ collect_own()
   end
 
   @doc """
@@ -133,12 +152,14 @@ defmodule Situ.Metrics do
   defp collect_safely(module) do
     module.collect_metrics()
   rescue
-    error ->
-      Logger.warning(
-        "the metrics of #{inspect(module)} are left out: #{Exception.message(error)}"
-      )
+    error -> leave_out(module, Exception.message(error))
+  catch
+    :exit, reason -> leave_out(module, Exception.format_exit(reason))
+  end
 
-      []
+  defp leave_out(module, why) do
+    Logger.warning("the metrics of #{inspect(module)} are left out: #{why}")
+    []
   end
 
   @doc """

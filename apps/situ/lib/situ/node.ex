@@ -52,4 +52,20 @@ defmodule Situ.Node do
     do: Map.new(outputs, fn {name, _} -> {name, output(node, name)} end)
 
   def streams(other), do: Situ.Argument.raise_invalid!(other, :node, "Situ.Node.streams(node)")
+
+  defimpl Inspect do
+    # The path, the module, and the ports with their types.
+    def inspect(node, _opts) do
+      module = if node.module == :operator, do: "operator", else: Kernel.inspect(node.module)
+      ports = describe_ports("in", node.inputs) ++ describe_ports("out", node.outputs)
+      "#Situ.Node<#{Enum.join([Kernel.inspect(node.path), module | ports], ", ")}>"
+    end
+
+    defp describe_ports(_kind, []), do: []
+
+    defp describe_ports(kind, ports) do
+      ports = for {name, type} <- ports, do: "#{name} #{Situ.Type.to_string(type)}"
+      ["#{kind}: #{Enum.join(ports, ", ")}"]
+    end
+  end
 end

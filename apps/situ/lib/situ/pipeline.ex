@@ -102,10 +102,13 @@ defmodule Situ.Pipeline do
     quote do
       @behaviour Situ.Pipeline
       @after_compile Situ.Pipeline
+      @situ_child Situ.Pipeline.child_overrides!(unquote(Keyword.delete(opts, :options)))
 
       unquote(define_options(opts[:options]))
 
-      def child_spec(opts), do: Situ.Pipeline.child_spec({__MODULE__, opts})
+      def child_spec(opts),
+        do: Supervisor.child_spec(Situ.Pipeline.child_spec({__MODULE__, opts}), @situ_child)
+
       def start_link(opts), do: Situ.Pipeline.start_link(__MODULE__, opts)
       defoverridable child_spec: 1
     end
@@ -127,11 +130,33 @@ defmodule Situ.Pipeline do
   def __after_compile__(%Macro.Env{module: module}, _bytecode),
     do: CodeReload.await_reload(module)
 
-  @doc "Returns a child specification for `{module_or_fun, opts}`; it is transient, so failures restart the pipeline."
-  @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
+  @doc false
+  # The fields of a child specification that `use Situ.Pipeline` sets.
+  @spec child_overrides!(keyword()) :: keyword()
+  def child_overrides!(opts),
+    do:
+      Situ.Options.validate!(opts, id: [type: :any], restart: [type: :any], shutdown: [type: :any])
+
+  @doc """
+  Returns a child specification for a module or function, or for `{module_or_fun, opts}`. It is transient, so failures
+  restart the pipeline, and a pipeline that has completed stays ended. With a name, its id is `{module_or_fun, name}`,
+  so a supervisor can have several pipelines of one module.
+
+      iex> spec = Situ.Pipeline.child_spec({Lobby, pipeline: [name: "Door"]})
+      iex> {spec.id, spec.restart, spec.shutdown}
+      {{Lobby, "Door"}, :transient, 10_000}
+
+  Change it with `Supervisor.child_spec({Lobby, opts}, restart: :permanent)`, or for all pipelines of a module with
+  `use Situ.Pipeline, restart: :permanent`.
+  """
+  @spec child_spec(spec() | {spec(), keyword()}) :: Supervisor.child_spec()
+  def child_spec(spec) when is_atom(spec) or is_function(spec, 1), do: child_spec({spec, []})
+
   def child_spec({spec, opts}) do
+    name = opts[:pipeline][:name]
+
     %{
-      id: spec,
+      id: if(name, do: {spec, name}, else: spec),
       start: {__MODULE__, :start_link, [spec, opts]},
       type: :supervisor,
       restart: :transient,
@@ -140,11 +165,12 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Checks the options of a pipeline against the schema of its module, and fills in defaults. Functions, and modules
-  without a schema, accept any options.
+  Checks the options of a pipeline against the schema of its module, and fills in defaults. Modules without a schema
+  accept any options, and functions none.
 
-      iex> Situ.Pipeline.validate_options(fn _p -> :ok end, threshold: 0.5)
-      {:ok, [threshold: 0.5]}
+      iex> {:error, error} = Situ.Pipeline.validate_options(fn _p -> :ok end, name: "Hall")
+      iex> {error.code, error.fix}
+      {:unknown_option, ~s(write pipeline: [name: "Hall"])}
   """
   @spec validate_options(spec(), keyword()) :: {:ok, keyword()} | {:error, Error.t()}
   def validate_options(spec, opts), do: Launcher.validate_options(spec, opts)
@@ -154,11 +180,30 @@ defmodule Situ.Pipeline do
   of them).
 
   A pipeline without finite sources runs until another process stops it.
+
+      iex> build = fn p -> p |> Situ.from_enumerable(1..3, every: Situ.Time.ms(10)) |> Situ.each(& &1) end
+      iex> {:ok, report} = Situ.Pipeline.run(build, pipeline: [name: "Count"])
+      iex> {report.name, report.errors}
+      {"Count", []}
+
+  `spec` is a module with `build/2`, or a function of the pipeline. `opts` are the options of the module, and the
+  settings of the pipeline under `pipeline:` (see the documentation of this module). By default it runs as fast as
+  possible; `pipeline: [replay: [speed: 1.0]]` runs it in real time.
   """
   @spec run(spec(), keyword()) :: result()
   def run(spec, opts \\ []), do: Launcher.run(spec, opts)
 
-  @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` has returned."
+  @doc """
+  Builds and starts a pipeline linked to the caller; returns as soon as `build` has returned. Takes the same arguments
+  as `run/2`, but runs in real time by default.
+
+      iex> {:ok, p} = Situ.Pipeline.start_link(fn p -> Situ.timer(p, every: Situ.Time.s(1)) end)
+      iex> {:ok, report} = Situ.Pipeline.stop(p)
+      iex> report.errors
+      []
+
+  In an application, write `{Lobby, opts}` or `{Situ.Pipeline, {fun, opts}}` in a list of children (`child_spec/1`).
+  """
   @spec start_link(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(spec, opts \\ []), do: Launcher.start_link(spec, opts)
 
@@ -358,7 +403,17 @@ defmodule Situ.Pipeline do
   @spec await(target(), timeout()) :: result()
   def await(p, timeout \\ :infinity), do: Client.await_result(p, timeout)
 
-  @doc "Returns a `Situ.Diagnostics.Snapshot`: graph, counters, queues, latencies and processes. Calls no component."
+  @doc """
+  Returns a `Situ.Diagnostics.Snapshot`: graph, counters, queues, latencies and processes. Calls no component.
+  `Situ.inspect/2` prints it as a table.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p -> Situ.timer(p, every: 1_000_000, name: "Tick") end)
+      iex> for node <- Situ.Pipeline.info(p).nodes, do: {node.path, node.kind, node.errors}
+      [{"Tick", :source, 0}]
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+  """
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
   def info(p), do: Client.call!(p, :info)
 

@@ -28,11 +28,23 @@ defmodule Situ.Reproducible do
 
   @type window :: Interval.t() | Situ.Time.duration()
 
-  @doc "Selects the message with exactly the requested time."
+  @doc """
+  Selects the message with exactly the requested time.
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, Situ.Reproducible.exact()))
+      {:ok, []}
+  """
   @spec exact(keyword()) :: Interpolator.t()
   def exact(opts \\ []), do: nearest(Interval.zero(), opts)
 
-  @doc "Selects the nearest message in the window (default: any distance)."
+  @doc """
+  Selects the nearest message in the window (default: any distance).
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, Situ.Reproducible.nearest(2)))
+      {:ok, [{10, {:image, 3}}]}
+  """
   @spec nearest(window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.parse_window(window, opts, Interval.infinite())
@@ -42,6 +54,10 @@ defmodule Situ.Reproducible do
   @doc """
   Selects the first message in the window (default: at or after the requested time). The window's left end must be
   bounded.
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, Situ.Reproducible.first()))
+      {:ok, [{10, {:image, 3}}]}
   """
   @spec first(window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
@@ -50,7 +66,13 @@ defmodule Situ.Reproducible do
     Interpolator.new(First, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
-  @doc "Selects the last message in the window (default: at or before the requested time)."
+  @doc """
+  Selects the last message in the window (default: at or before the requested time).
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, Situ.Reproducible.last()))
+      {:ok, [{10, {:image, 1}}]}
+  """
   @spec last(window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.parse_window(window, opts, Interval.past())
@@ -60,6 +82,10 @@ defmodule Situ.Reproducible do
   @doc """
   Interpolates linearly between the messages before and after. There is no value before the first message or after the
   last one.
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, Situ.Reproducible.linear()))
+      {:ok, [{10, {:image, 2.2}}]}
 
   Values are numbers, `:nan`, `:infinity` or `:neg_infinity`. With `:nan` on either side the result is `:nan`. With
   `nil` on either side there is no value, and any other value is an error.
@@ -72,6 +98,11 @@ defmodule Situ.Reproducible do
   @doc """
   Computes the value with `fun.(before, after, ratio)` from the neighbours. The ratio is 0.0 at the earlier neighbour
   and 1.0 at the later one.
+
+      iex> inputs = [image: [{10, :image}], gaze: [{7, 1}, {12, 3}]]
+      iex> neighbours = Situ.Reproducible.adjacent(fn a, b, ratio -> {a, b, ratio} end)
+      iex> Situ.Test.run(inputs, &Situ.join(&1.image, &1.gaze, neighbours))
+      {:ok, [{10, {:image, {1, 3, 0.6}}}]}
   """
   @spec adjacent((term(), term(), float() -> term()), keyword()) :: Interpolator.t()
   def adjacent(fun, opts \\ []) when is_function(fun, 3) do

@@ -25,10 +25,43 @@ defmodule Situ.Test do
   same shape. A pipeline under test uses a manual clock that starts at 0 (`start:`), so a message at 5 ns arrives when
   the clock is at 5 ns. The pipeline `p` is the `stream.pipeline` of any stream; for pipelines without inputs the
   function may take the pipeline as a second argument.
+
+  ## Assertions
+
+  In an ExUnit test, three macros check the outputs message by message. A message is `{time, data}`.
+
+      defmodule DoorTest do
+        use ExUnit.Case, async: true
+        import Situ.Test, only: :macros
+        alias Situ.{Test, Time}
+
+        test "says hello when the door opens, and reminds after ten seconds" do
+          t = Test.start([:door], fn %{door: door} -> Lobby.greet(door) end)
+          Test.feed(t, :door, {0, :open})
+          assert_emits t, {0, "hello"}
+          refute_emits t
+          await_emits t, {time, "still open"}
+          assert time == Time.s(10)
+          {:ok, _report} = Test.stop(t)
+        end
+      end
+
+  | macro | passes if |
+  |---|---|
+  | `assert_emits t, pattern` | the next message that was not checked yet matches |
+  | `assert_emits t, [pattern, pattern]` | the next messages match, one after the other |
+  | `await_emits t, pattern` | a message matches after the clock has moved, at most by `within:` (default 10 s) |
+  | `refute_emits t, pattern` | no message matches among those that were not checked yet (without a pattern: none exists) |
+
+  Patterns bind variables, and may contain `^` and guards, as in `assert_receive`. If the pipeline has several outputs,
+  `output:` names one: `assert_emits t, {_, :left}, output: :eyes`. All of them wait until the pipeline is idle, so none
+  depends on the speed of the machine.
   """
 
   alias Situ.{Clock, Collector, Pipeline, Stream}
-  alias Situ.Test.{Input, Idle}
+  alias Situ.Test.{Idle, Input, Outputs}
+
+  @within [type: :time_ns, default: 10_000_000_000]
 
   @enforce_keys [:pipeline, :clock, :inputs, :ref, :shape]
   defstruct [:pipeline, :clock, :inputs, :ref, :shape]
@@ -148,16 +181,212 @@ defmodule Situ.Test do
     settle(test)
   end
 
-  @doc "Returns the outputs since the last call, after the pipeline has handled all messages that it was fed."
+  @doc "Returns the outputs that were not checked yet, after the pipeline has handled all messages that it was fed."
   @spec outputs(t()) :: term()
   def outputs(%__MODULE__{} = test) do
     settle(test)
-    batches = collect_outputs(test.ref, %{})
+    batches = Outputs.take_all(test)
 
     case test.shape do
       :only -> Map.get(batches, :only, [])
       {kind, keys} -> keys |> Enum.map(&{&1, Map.get(batches, &1, [])}) |> apply_shape(kind)
     end
+  end
+
+  @doc """
+  Asserts that the next message `{time, data}` that was not checked yet matches `pattern`, and returns it. With a list
+  of patterns, asserts that the next messages match them in order; other messages may follow. With `[]`, or a pattern
+  such as `[first | _]`, the pattern is matched against all messages that were not checked yet.
+
+      iex> import Situ.Test, only: :macros
+      iex> t = Situ.Test.start([:n], fn %{n: n} -> Situ.map(n, & &1 * 2) end)
+      iex> Situ.Test.feed(t, :n, {0, 1})
+      iex> assert_emits t, {0, double}
+      iex> double
+      2
+      iex> Situ.Test.feed(t, :n, [{5, 2}, {6, 3}, {7, 4}])
+      iex> Situ.Test.advance(t, 7)
+      iex> assert_emits t, [{5, 4}, {6, _}]
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+
+  See the module documentation for the option `output:`.
+  """
+  # The assertions are macros: see docs/adr/0185-assertions-on-outputs-are-macros.md.
+  defmacro assert_emits(test, pattern, opts \\ []) do
+    {pattern, guard} = split_guard(pattern)
+    count = count_patterns(pattern)
+
+    quote do
+      require ExUnit.Assertions
+
+      result =
+        ExUnit.Assertions.assert(
+          unquote(pattern) = Situ.Test.take_outputs!(unquote(test), unquote(count), unquote(opts))
+        )
+
+      unquote(if guard, do: quote(do: ExUnit.Assertions.assert(unquote(guard))))
+      result
+    end
+  end
+
+  @doc """
+  Moves the clock from one event to the next until a message matches `pattern`, and returns the message. Drops the
+  messages before it. Fails when the clock has moved by `within:` (default 10 s), or when nothing more can happen.
+
+      iex> import Situ.Test, only: :macros
+      iex> t = Situ.Test.start([], fn _, p -> Situ.sequence(p, 0, & &1 + 1, every: Situ.Time.s(1)) end)
+      iex> await_emits t, {time, n} when n > 4
+      iex> {time, n}
+      {5_000_000_000, 5}
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
+  defmacro await_emits(test, pattern, opts \\ []) do
+    {bare, _guard} = split_guard(pattern)
+
+    quote do
+      unquote(bare) =
+        Situ.Test.await_output!(
+          unquote(test),
+          unquote(build_matcher(pattern)),
+          unquote(Macro.to_string(pattern)),
+          unquote(opts)
+        )
+    end
+  end
+
+  @doc """
+  Asserts that no message matches `pattern` among those that were not checked yet. They can still be checked after it.
+
+      iex> import Situ.Test, only: :macros
+      iex> t = Situ.Test.start([:n], fn %{n: n} -> Situ.filter(n, & &1 > 5) end)
+      iex> Situ.Test.feed(t, :n, {0, 1})
+      iex> refute_emits t
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+  """
+  defmacro refute_emits(test, pattern \\ {:_, [], nil}, opts \\ []) do
+    quote do
+      Situ.Test.refute_output!(
+        unquote(test),
+        unquote(build_matcher(pattern)),
+        unquote(Macro.to_string(pattern)),
+        unquote(opts)
+      )
+    end
+  end
+
+  # Variables of the pattern that only the test uses must not cause warnings here.
+  defp build_matcher(pattern) do
+    used = pattern |> split_guard() |> elem(0) |> list_variables()
+
+    quote generated: true do
+      fn
+        unquote(pattern) ->
+          _ = unquote(used)
+          true
+
+        _ ->
+          false
+      end
+    end
+  end
+
+  defp list_variables({:^, _, _}), do: []
+  defp list_variables({:"::", _, [value, _type]}), do: list_variables(value)
+
+  defp list_variables({name, _, context} = variable) when is_atom(name) and is_atom(context),
+    do: if(String.starts_with?(Atom.to_string(name), "_"), do: [], else: [variable])
+
+  defp list_variables({_, _, parts}), do: list_variables(parts)
+  defp list_variables({left, right}), do: list_variables(left) ++ list_variables(right)
+  defp list_variables(parts) when is_list(parts), do: Enum.flat_map(parts, &list_variables/1)
+  defp list_variables(_literal), do: []
+
+  defp split_guard({:when, _, [pattern, guard]}), do: {pattern, guard}
+  defp split_guard(pattern), do: {pattern, nil}
+
+  defp count_patterns([]), do: :all
+
+  defp count_patterns(patterns) when is_list(patterns),
+    do: if(match?({:|, _, _}, List.last(patterns)), do: :all, else: length(patterns))
+
+  defp count_patterns(_pattern), do: :next
+
+  @doc false
+  # Takes one message, a number of them as a list, or all.
+  @spec take_outputs!(t(), :next | :all | pos_integer(), keyword()) :: timed() | [timed()]
+  def take_outputs!(%__MODULE__{} = test, count, opts) do
+    settle(test)
+    key = Outputs.resolve_key!(test, opts)
+    waiting = Outputs.list_waiting(test, key)
+    {taken, rest} = if count == :all, do: {waiting, []}, else: Enum.split(waiting, number(count))
+    Outputs.put_waiting(test, key, rest)
+
+    case {count, taken} do
+      {:next, [message]} -> message
+      {:next, []} -> fail!("nothing was emitted that was not checked yet", test, key)
+      {_count, messages} -> messages
+    end
+  end
+
+  defp number(:next), do: 1
+  defp number(count), do: count
+
+  @doc false
+  @spec await_output!(t(), (timed() -> boolean()), String.t(), keyword()) :: timed()
+  def await_output!(%__MODULE__{} = test, match?, pattern, opts) do
+    opts = Situ.Options.validate!(opts, output: [type: :any], within: @within)
+    {within, opts} = Keyword.pop!(opts, :within)
+    key = Outputs.resolve_key!(test, opts)
+    deadline = Clock.now(test.clock) + within
+    await_output!(test, key, match?, {pattern, within, deadline}, [])
+  end
+
+  defp await_output!(test, key, match?, {pattern, within, deadline} = limits, dropped) do
+    settle(test)
+
+    case test |> Outputs.list_waiting(key) |> Enum.split_while(&(not match?.(&1))) do
+      {_before, [message | rest]} ->
+        Outputs.put_waiting(test, key, rest)
+        message
+
+      {others, []} ->
+        Outputs.put_waiting(test, key, [])
+        dropped = Enum.take(dropped ++ others, -5)
+        due = Idle.next_time(test.pipeline)
+
+        if due == nil or due > deadline do
+          span = Situ.Time.format_duration(within)
+          why = if due, do: "within #{span}", else: "and nothing more will happen"
+          fail!("no message matched #{pattern} #{why}; the last: #{inspect(dropped)}", test, key)
+        else
+          Clock.set(test.clock, max(due, Clock.now(test.clock)))
+          await_output!(test, key, match?, limits, dropped)
+        end
+    end
+  end
+
+  @doc false
+  @spec refute_output!(t(), (timed() -> boolean()), String.t(), keyword()) :: :ok
+  def refute_output!(%__MODULE__{} = test, match?, pattern, opts) do
+    settle(test)
+    key = Outputs.resolve_key!(test, opts)
+
+    case test |> Outputs.list_waiting(key) |> Enum.find(match?) do
+      nil -> :ok
+      message -> fail!("#{inspect(message)} matches #{pattern}", test, key)
+    end
+  end
+
+  defp fail!(problem, test, key) do
+    output = if key == :only, do: "", else: " (output #{inspect(key)})"
+    now = Situ.Time.format_duration(Clock.now(test.clock))
+    raise ExUnit.AssertionError, message: "#{problem}#{output}; the clock is at #{now}"
   end
 
   @doc "Stops the pipeline; returns its report, or the error that ended it."
@@ -229,16 +458,6 @@ defmodule Situ.Test do
   defp apply_shape(pairs, :map), do: Map.new(pairs)
   defp apply_shape(pairs, :list), do: Enum.map(pairs, &elem(&1, 1))
 
-  defp collect_outputs(ref, batches) do
-    receive do
-      {:situ_collected, {^ref, key}, messages} ->
-        messages = to_timed_pairs(messages)
-        collect_outputs(ref, Map.update(batches, key, messages, &(&1 ++ messages)))
-    after
-      0 -> batches
-    end
-  end
-
   defp to_timed_pairs([%Situ.Message{} | _] = messages),
     do: for(m <- messages, do: {m.originating_time, m.data})
 
@@ -247,4 +466,11 @@ defmodule Situ.Test do
 
   defp to_timed_pairs(%{} = map),
     do: Map.new(map, fn {key, messages} -> {key, to_timed_pairs(messages)} end)
+
+  defimpl Inspect do
+    def inspect(test, _opts) do
+      inputs = test.inputs |> Map.keys() |> Enum.map_join(", ", &Kernel.inspect/1)
+      "#Situ.Test<inputs: #{inputs}; at #{Situ.Clock.now(test.clock)} ns>"
+    end
+  end
 end

@@ -194,8 +194,8 @@ defmodule Situ.ColumnsPipelineTest do
     columns = Columns.new([1, 2, 3], [1, 2, 3])
 
     for {wrong, code, text} <- [
-          {%{columns | count: 2}, :not_columns, "%Situ.Columns{"},
-          {%{columns | values: <<>>}, :not_columns, "%Situ.Columns{"},
+          {%{columns | count: 2}, :not_columns, "count: "},
+          {%{columns | values: <<>>}, :not_columns, "count: "},
           {%{columns | times: <<2::little-64, 2::little-64, 3::little-64>>}, :time_not_increasing,
            "2 ns"}
         ] do

@@ -3,7 +3,9 @@ defmodule Situ.MetricsTest do
   use Situ.Test.Property
 
   alias Situ.Metrics
-  alias Situ.Metrics.Server
+  alias Situ.Metrics.{LatencyHistogram, Server}
+  alias Situ.Ports.Counters
+  alias Situ.Test.MetricsText
 
   doctest Situ.Metrics
 
@@ -18,6 +20,12 @@ defmodule Situ.MetricsTest do
     @behaviour Metrics
     @impl true
     def collect_metrics, do: raise("no metrics today")
+  end
+
+  defmodule StuckMetrics do
+    @behaviour Metrics
+    @impl true
+    def collect_metrics, do: GenServer.call(:no_such_process, :list)
   end
 
   defp start_pipeline(name) do
@@ -53,13 +61,74 @@ defmodule Situ.MetricsTest do
     assert text =~ "situ_latency_seconds_count#{labels} 100\n"
     assert text =~ ~s(situ_component_errors_total{pipeline="Metrics count",component="Double"} 0)
     assert text =~ ~r/situ_vm_memory_bytes\{kind="total"\} \d+/
-    # Every metric is described once.
-    types = for "# TYPE " <> rest <- String.split(text, "\n"), do: rest |> String.split() |> hd()
-    assert types == Enum.uniq(types)
+    metrics = MetricsText.parse!(text)
+    assert {"histogram", samples} = metrics["situ_latency_seconds"]
+
+    assert Enum.any?(
+             samples,
+             &match?({_, %{"pipeline" => "Metrics count", "le" => "+Inf"}, _}, &1)
+           )
+  end
+
+  property "a histogram counts every latency below a limit, and never decreases" do
+    forall latencies <- list({pos_integer(), one_of([integer(), integer(0, 100_000_000_000)])}) do
+      ref = Counters.new()
+      for {n, latency} <- latencies, do: Counters.count_processed(ref, n, latency, 0)
+      samples = LatencyHistogram.to_samples(LatencyHistogram.read(ref), [])
+      metric = %{name: "x_seconds", type: :histogram, help: "Latency.", samples: samples}
+
+      assert %{"x_seconds" => {"histogram", samples}} =
+               MetricsText.parse!(Metrics.to_text([metric]))
+
+      for {"x_seconds_bucket", %{"le" => limit}, count} <- samples, limit != "+Inf" do
+        ns = round(String.to_float(limit) * 1.0e9)
+
+        assert count ==
+                 latencies
+                 |> Enum.filter(&(elem(&1, 1) < ns))
+                 |> Enum.map(&elem(&1, 0))
+                 |> Enum.sum()
+      end
+    end
+  end
+
+  test "pipelines of the same name have different series" do
+    for _ <- 1..2, do: start_pipeline("Metrics twin")
+    {_, running} = MetricsText.parse!(Metrics.to_text(Metrics.collect()))["situ_pipeline_running"]
+    names = for {_, %{"pipeline" => "Metrics twin" <> _ = name}, _} <- running, do: name
+    assert names == ["Metrics twin", "Metrics twin (2)"]
+  end
+
+  test "a pipeline with many connections has a bounded number of series" do
+    counters = Map.new(1..700, &{&1, Counters.new()})
+    for {_, ref} <- counters, do: Counters.count_processed(ref, 2, 1_000_000, 1_000)
+
+    edges =
+      for id <- 1..700,
+          do: %Situ.Diagnostics.Edge{
+            id: id,
+            from: id,
+            from_output: "out",
+            to: id + 1,
+            to_input: "in",
+            processed: 2
+          }
+
+    nodes = for id <- 1..701, do: %Situ.Diagnostics.Node{id: id, path: "Part #{id}", errors: 1}
+    snapshot = %Situ.Diagnostics.Snapshot{pipeline: "Many", nodes: nodes, edges: edges}
+    metrics = Situ.Metrics.PipelineMetrics.build([{snapshot, counters}])
+    metrics = MetricsText.parse!(Metrics.to_text(metrics))
+    {_, processed} = metrics["situ_messages_processed_total"]
+    assert length(processed) == 501
+    assert {_, %{"from" => "(others)", "to" => "(others)"}, 400.0} = List.last(processed)
+    {_, errors} = metrics["situ_component_errors_total"]
+    assert {_, %{"component" => "(others)"}, 201.0} = List.last(errors)
+    {_, latency} = metrics["situ_latency_seconds"]
+    assert {"situ_latency_seconds_count", %{"from" => "(others)"}, 400.0} = List.last(latency)
   end
 
   test "includes metrics of applications, except metrics that raise" do
-    Application.put_env(:situ, :metrics, [OwnMetrics, BrokenMetrics])
+    Application.put_env(:situ, :metrics, [OwnMetrics, BrokenMetrics, StuckMetrics])
     on_exit(fn -> Application.delete_env(:situ, :metrics) end)
 
     log =
@@ -68,6 +137,7 @@ defmodule Situ.MetricsTest do
       end)
 
     assert log =~ "no metrics today"
+    assert log =~ "StuckMetrics are left out"
   end
 
   property "every label survives, and every line is a comment or a sample" do

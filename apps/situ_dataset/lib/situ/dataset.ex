@@ -72,7 +72,6 @@ defmodule Situ.Dataset do
 
   @fields [:name, :metadata, :tags, :sessions, :extra]
 
-  @derive {Inspect, except: [:document]}
   defstruct name: "Untitled Dataset",
             file: nil,
             autosave?: false,
@@ -529,5 +528,12 @@ defmodule Situ.Dataset do
     end
 
     update(dataset, &update_session(&1, name, put))
+  end
+
+  defimpl Inspect do
+    def inspect(%{sessions: sessions} = dataset, _opts) do
+      file = if dataset.file, do: ", #{Kernel.inspect(dataset.file)}", else: ""
+      "#Situ.Dataset<#{Kernel.inspect(dataset.name)}, #{length(sessions)} sessions#{file}>"
+    end
   end
 end

@@ -365,7 +365,7 @@ defmodule Situ.Link do
   | `bytes` | the bytes received |
   | `offset`, `uncertainty`, `drift` | how far the other clock is ahead and how exact that is (ns), and how fast it changes |
   | `round_trip` | the quickest of the recent round trips, ns |
-  | `streams` | for each stream whether it was `found?`, how many messages were `received` and `lost`, its `position` ... |
+  | `streams` | for each stream whether it was `found?`, how many messages were `received` and `lost`, its `position`, its `lag` (ns) ... |
   """
   @spec info(t()) :: map()
   def info(%__MODULE__{pid: pid}), do: Connection.link_info(pid)
@@ -433,5 +433,11 @@ defmodule Situ.Link do
           do: %{name: name, address: address, streams: streams}
 
     configured ++ announced
+  end
+
+  # The options contain the token.
+  defimpl Inspect do
+    def inspect(%{address: address}, _opts),
+      do: "#Situ.Link<#{Kernel.inspect(Situ.Link.Address.to_string(address))}>"
   end
 end

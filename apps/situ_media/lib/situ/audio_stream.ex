@@ -49,24 +49,52 @@ defmodule Situ.AudioStream do
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
   def resample(stream, rate, opts \\ []), do: Situ.via(stream, Resampler, [rate: rate] ++ opts)
 
-  @doc "Converts the sample type or the number of channels (`Situ.AudioOps.reformat/2`)."
+  @doc """
+  Converts the sample type or the number of channels (`Situ.AudioOps.reformat/2`).
+
+      iex> sound = Situ.AudioBuffer.from_samples([100, 300, 200, 400], Situ.AudioFormat.pcm(1000, 2))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.reformat(sample: :f32) |> Situ.map(& &1.format.sample) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, :f32}]}
+  """
   @spec reformat(Stream.t(), keyword()) :: Stream.t()
   def reformat(stream, opts) do
     {placed, opts} = Placement.split_unchecked(opts, :component)
     map_buffers(stream, "Reformat", &Error.unwrap!(AudioOps.reformat(&1, opts)), placed)
   end
 
-  @doc "Mixes all channels down to mono, as their mean."
+  @doc """
+  Mixes all channels down to mono, as their mean.
+
+      iex> sound = Situ.AudioBuffer.from_samples([100, 300, 200, 400], Situ.AudioFormat.pcm(1000, 2))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.to_mono() |> Situ.map(&Situ.AudioBuffer.to_samples/1) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, [200, 300]}]}
+  """
   @spec to_mono(Stream.t(), keyword()) :: Stream.t()
   def to_mono(stream, opts \\ []),
     do: map_buffers(stream, "Mono", &Error.unwrap!(AudioOps.reformat(&1, channels: 1)), opts)
 
-  @doc "Converts to stereo. A mono channel is copied to both sides, and stereo is unchanged."
+  @doc """
+  Converts to stereo. A mono channel is copied to both sides, and stereo is unchanged.
+
+      iex> sound = Situ.AudioBuffer.from_samples([300, 400], Situ.AudioFormat.pcm(1000))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.to_stereo() |> Situ.map(&Situ.AudioBuffer.to_samples/1) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, [300, 300, 400, 400]}]}
+  """
   @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
   def to_stereo(stream, opts \\ []),
     do: map_buffers(stream, "Stereo", &Error.unwrap!(AudioOps.reformat(&1, channels: 2)), opts)
 
-  @doc "Selects one channel, counted from 0, as mono."
+  @doc """
+  Selects one channel, counted from 0, as mono.
+
+      iex> sound = Situ.AudioBuffer.from_samples([100, 300, 200, 400], Situ.AudioFormat.pcm(1000, 2))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.select_channel(1) |> Situ.map(&Situ.AudioBuffer.to_samples/1) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, [300, 400]}]}
+  """
   @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def select_channel(stream, channel, opts \\ []) do
     map_buffers(
@@ -77,12 +105,27 @@ defmodule Situ.AudioStream do
     )
   end
 
-  @doc "Mixes the channels with a matrix of gains (`Situ.AudioOps.remix/3`)."
+  @doc """
+  Mixes the channels with a matrix of gains (`Situ.AudioOps.remix/3`).
+
+      iex> sound = Situ.AudioBuffer.from_samples([100, 300, 200, 400], Situ.AudioFormat.pcm(1000, 2))
+      iex> remix = &Situ.AudioStream.remix(&1.sound, [[1, 0], [0, 0.5]])
+      iex> {:ok, [{_time, mixed}]} = Situ.Test.run([sound: [{2_000_000, sound}]], remix)
+      iex> Situ.AudioBuffer.to_samples(mixed)
+      [100, 150, 200, 200]
+  """
   @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
   def remix(stream, matrix, opts \\ []),
     do: map_buffers(stream, "Remix", &Error.unwrap!(AudioOps.remix(&1, matrix)), opts)
 
-  @doc "Changes the volume by a factor or by `{:db, n}`."
+  @doc """
+  Changes the volume by a factor or by `{:db, n}`.
+
+      iex> sound = Situ.AudioBuffer.from_samples([100, 300, 200, 400], Situ.AudioFormat.pcm(1000, 2))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.gain(2) |> Situ.map(&Situ.AudioBuffer.to_samples/1) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, [200, 600, 400, 800]}]}
+  """
   @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
   def gain(stream, gain, opts \\ []),
     do: map_buffers(stream, "Gain", &Error.unwrap!(AudioOps.gain(&1, gain)), opts)
@@ -140,6 +183,13 @@ defmodule Situ.AudioStream do
       and times do not change.
     * `:concatenate`: only the times change; they continue from the first buffer, ignoring gaps.
 
+      iex> sound = &Situ.AudioBuffer.from_samples(&1, Situ.AudioFormat.pcm(1000))
+      iex> feed = [{2_000_000, sound.([1, 2])}, {5_000_000, sound.([5])}]
+      iex> build = fn s -> Situ.AudioStream.streamline(s.sound, method: :pleat) end
+      iex> {:ok, pairs} = Situ.Test.run([sound: feed], build)
+      iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
+      [{2_000_000, [1, 2]}, {5_000_000, [5, 0, 0]}]
+
   A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`, because it means that
   a clock was set. A change of format is an error, too.
 
@@ -149,7 +199,14 @@ defmodule Situ.AudioStream do
   def streamline(stream, opts \\ []), do: Situ.via(stream, Streamline, opts)
 
   @doc """
-  Extracts acoustic features from overlapping frames, as a map of streams:
+  Extracts acoustic features from overlapping frames, as a map of streams.
+
+      iex> silence = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(16_000), 400)
+      iex> build = fn s ->
+      ...>   Situ.map(Situ.AudioStream.features(s.sound, dither: 0).log_energy, &Float.round(&1, 1))
+      ...> end
+      iex> Situ.Test.run([sound: [{25_000_000, silence}]], build)
+      {:ok, [{25_000_000, -92.1}]}
 
   | stream | of each frame |
   |---|---|
@@ -174,7 +231,14 @@ defmodule Situ.AudioStream do
   @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
   def features(stream, opts \\ []), do: Situ.via(stream, Analyzer, opts)
 
-  @doc "Computes the logarithms of `bands` mel bands (default 40) of each frame, as a stream of lists."
+  @doc """
+  Computes the logarithms of `bands` mel bands (default 40) of each frame, as a stream of lists.
+
+      iex> silence = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(16_000), 400)
+      iex> build = fn s -> s.sound |> Situ.AudioStream.log_mel(bands: 8) |> Situ.map(&length/1) end
+      iex> Situ.Test.run([sound: [{25_000_000, silence}]], build)
+      {:ok, [{25_000_000, 8}]}
+  """
   @spec log_mel(Stream.t(), keyword()) :: Stream.t()
   def log_mel(stream, opts \\ []) do
     {bands, opts} = Keyword.pop(opts, :bands, 40)
@@ -183,6 +247,11 @@ defmodule Situ.AudioStream do
 
   @doc """
   Computes the first `count` (default 13) cepstral coefficients of `bands` mel bands (default 40), as a stream of lists.
+
+      iex> silence = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(16_000), 400)
+      iex> build = fn s -> s.sound |> Situ.AudioStream.mfcc(count: 5) |> Situ.map(&length/1) end
+      iex> Situ.Test.run([sound: [{25_000_000, silence}]], build)
+      {:ok, [{25_000_000, 5}]}
   """
   @spec mfcc(Stream.t(), keyword()) :: Stream.t()
   def mfcc(stream, opts \\ []) do
@@ -191,7 +260,14 @@ defmodule Situ.AudioStream do
     features(stream, [dither: 0, mel_bands: bands, mfcc: count] ++ opts).mfcc
   end
 
-  @doc "Measures the level of each buffer, as a stream of the structs that `Situ.AudioOps.level/1` returns."
+  @doc """
+  Measures the level of each buffer, as a stream of the structs that `Situ.AudioOps.level/1` returns.
+
+      iex> sound = Situ.AudioBuffer.from_samples([8192, -16_384], Situ.AudioFormat.pcm(1000))
+      iex> build = fn s -> s.sound |> Situ.AudioStream.level() |> Situ.map(& &1.peak) end
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], build)
+      {:ok, [{2_000_000, 0.5}]}
+  """
   @spec level(Stream.t(), keyword()) :: Stream.t()
   def level(stream, opts \\ []) do
     Operator.attach(stream, "Level", {:map, &Error.unwrap!(AudioOps.level(&1))}, opts, Level)
@@ -220,6 +296,18 @@ defmodule Situ.AudioStream do
   Lowers the volume while a stream of booleans is true, for example of a microphone while the loudspeaker is speaking,
   or of music while somebody is talking.
 
+      iex> music = Situ.AudioBuffer.from_samples(List.duplicate(8_000, 1_000), Situ.AudioFormat.pcm(1000))
+      iex> t = Situ.Test.start([:music, :talking], &Situ.AudioStream.duck(&1.music, &1.talking))
+      iex> Situ.Test.feed(t, :talking, {0, true})
+      iex> Situ.Test.advance(t, 2_000_000_000)
+      iex> Situ.Test.feed(t, :music, [{1_000_000_000, music}, {2_000_000_000, music}])
+      iex> {_time, quiet} = t |> Situ.Test.outputs() |> List.last()
+      iex> quiet |> Situ.AudioBuffer.to_samples() |> List.last() < 4_000
+      true
+      iex> {:ok, _report} = Situ.Test.stop(t)
+      iex> :done
+      :done
+
   The stream of booleans has at least one message for each change. Each buffer uses the last boolean that has arrived at
   or before the end of the buffer. In live pipelines a late boolean takes effect when it arrives; in recordings all of
   them arrive in time. The operator delays nothing, and times and lengths do not change. The volume changes linearly to
@@ -230,12 +318,25 @@ defmodule Situ.AudioStream do
   @spec duck(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def duck(stream, while, opts \\ []), do: Situ.via([in: stream, while: while], Ducker, opts)
 
-  @doc "Returns the bytes of each buffer."
+  @doc """
+  Returns the bytes of each buffer.
+
+      iex> sound = Situ.AudioBuffer.from_samples([1, 256], Situ.AudioFormat.pcm(1000))
+      iex> Situ.Test.run([sound: [{2_000_000, sound}]], &Situ.AudioStream.to_bytes(&1.sound))
+      {:ok, [{2_000_000, <<1, 0, 0, 1>>}]}
+  """
   @spec to_bytes(Stream.t(), keyword()) :: Stream.t()
   def to_bytes(stream, opts \\ []),
     do: Operator.attach(stream, "Bytes", {:map, & &1.data}, opts, :binary)
 
-  @doc "Builds audio buffers from a stream of binaries, each of which must hold complete frames."
+  @doc """
+  Builds audio buffers from a stream of binaries, each of which must hold complete frames.
+
+      iex> build = fn s -> Situ.AudioStream.from_bytes(s.bytes, Situ.AudioFormat.pcm(1000)) end
+      iex> {:ok, [{time, sound}]} = Situ.Test.run([bytes: [{2_000_000, <<1, 0, 0, 1>>}]], build)
+      iex> {time, Situ.AudioBuffer.to_samples(sound)}
+      {2_000_000, [1, 256]}
+  """
   @spec from_bytes(Stream.t(), AudioFormat.t(), keyword()) :: Stream.t()
   def from_bytes(stream, %AudioFormat{} = format, opts \\ []),
     do: map_buffers(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)

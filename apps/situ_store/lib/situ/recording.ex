@@ -164,4 +164,9 @@ defmodule Situ.Recording do
   @spec implements?(t(), atom(), arity()) :: boolean()
   def implements?(%__MODULE__{module: module}, callback, arity),
     do: function_exported?(module, callback, arity)
+
+  defimpl Inspect do
+    def inspect(%{path: nil}, _opts), do: "#Situ.Recording<in memory>"
+    def inspect(%{path: path}, _opts), do: "#Situ.Recording<#{Kernel.inspect(path)}>"
+  end
 end

@@ -68,6 +68,9 @@ defmodule Situ.Store do
   @doc """
   Opens a store's folder, the newest version of `root/name`, or an external file.
 
+      {:ok, store} = Situ.Store.open("recordings/hall")
+      for info <- Situ.Store.streams(store), do: {info.name, info.type, info.count}
+
   If the newest version is a segment of a recording (`split:` of `create/4`), `root/name` opens all of its segments as
   one recording, over restarts of the recorder. Where a later run of the recorder recorded the same times again, its
   messages replace the earlier ones. `segments/1` lists the segments.
@@ -103,6 +106,11 @@ defmodule Situ.Store do
   `path/name.NNNN`), or `nil` for a store in memory. The store is closed when the pipeline has completed, whether it
   succeeded or failed. Raises the `Situ.Error` if the store cannot be created.
 
+      Situ.Pipeline.run(fn p ->
+        store = Situ.Store.create(p, "hall", "recordings")
+        p |> Situ.timer(every: Situ.Time.s(1)) |> Situ.Store.write(store, "Clock")
+      end)
+
   Any process on the machine can read a store in memory while this system is running. It is never written to disk.
 
   An endless recording can be split into segments, of which only the latest are kept:
@@ -118,8 +126,11 @@ defmodule Situ.Store do
   defdelegate create(p, name, path, opts \\ []), to: Exporter
 
   @doc """
-  Records a stream under `name` and returns the stream. If the stream or the store is `nil`, nothing is recorded and the
-  stream is returned unchanged, so optional streams and optional recording need no `if`.
+  Records a stream under `name` and returns the stream, so it can stand in the middle of a chain of functions. If the
+  stream or the store is `nil`, nothing is recorded and the stream is returned unchanged, so optional streams and
+  optional recording need no `if`.
+
+      level |> Situ.Store.write(store, "Level") |> Situ.filter(&(&1 > 0.5)) |> Situ.Store.write(store, "Loud")
 
   Messages are collected for up to 20 ms and committed together, or earlier if a stream has 512 messages or 64 KiB of
   payload (4,096 or 256 KiB if they are numbers, booleans or short binaries). With `durability: :each` (`create/4`),
@@ -205,6 +216,17 @@ defmodule Situ.Store do
 
   @doc """
   Returns the messages of a stream as an `Enumerable` that reads in batches on demand.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-doc-messages")
+      iex> {:ok, _report} = Situ.Pipeline.run(fn p ->
+      ...>   store = Situ.Store.create(p, "hall", root)
+      ...>   p |> Situ.from_enumerable([{10, 0.5}, {20, 0.7}, {30, 0.6}]) |> Situ.Store.write(store, "Level")
+      ...> end)
+      iex> {:ok, store} = Situ.Store.open(Path.join(root, "hall"))
+      iex> for m <- Situ.Store.messages(store, "Level", from: 20), do: {m.originating_time, m.data}
+      [{20, 0.7}, {30, 0.6}]
+      iex> Situ.Store.delete(store.path)
+      :ok
 
   With `type:`, messages are read as structs that may have changed since they were recorded. Every recorded field must
   still exist, and every new field must have a default (it must not be in `@enforce_keys`); old messages get the

@@ -335,4 +335,9 @@ defmodule Situ.Columns do
       )
     end
   end
+
+  defimpl Inspect do
+    def inspect(columns, _opts),
+      do: "#Situ.Columns<#{columns.count} messages, #{Kernel.inspect(columns.kind)}>"
+  end
 end

@@ -8,6 +8,10 @@ defmodule Situ.JsonLog do
   and the metadata that JSON can represent, such as `pipeline` and `component`. Other values are written as Elixir
   prints them; `mfa`, `pid` and other fields that only the logger needs are left out.
 
+  Lines that a component writes while it handles a message have `pipeline`, `component` and the `originating_time` of
+  the message (ISO 8601). If it handles several at once, `originating_time` is the first and `last_originating_time` the
+  last of the messages that it may be.
+
       iex> metadata = [time: 1_700_000_000_123_456, pipeline: "Lobby"]
       iex> line = Situ.JsonLog.format(:error, "no camera", {{2023, 11, 14}, {22, 13, 20, 123}}, metadata)
       iex> IO.iodata_to_binary(line)
@@ -32,7 +36,7 @@ defmodule Situ.JsonLog do
     fields =
       for {key, value} <- metadata,
           key not in @internal,
-          do: {Atom.to_string(key), simplify_value(value)}
+          do: {Atom.to_string(key), simplify_value(key, value)}
 
     own = [
       {"time", format_time(metadata[:time], timestamp)},
@@ -54,6 +58,13 @@ defmodule Situ.JsonLog do
     |> NaiveDateTime.from_erl!({ms * 1000, 3})
     |> NaiveDateTime.to_iso8601()
   end
+
+  # Components log the originating times of messages, in ns.
+  defp simplify_value(key, time)
+       when key in [:originating_time, :last_originating_time] and is_integer(time),
+       do: Situ.Time.to_iso8601(time)
+
+  defp simplify_value(_key, value), do: simplify_value(value)
 
   defp simplify_value(value) when is_number(value) or is_boolean(value) or is_nil(value),
     do: value

@@ -210,8 +210,11 @@ defmodule Situ.Mesh do
   end
 
   defimpl Inspect do
-    def inspect(mesh, _opts),
-      do:
-        "#Situ.Mesh<#{Situ.Mesh.vertex_count(mesh)} vertices, #{Situ.Mesh.triangle_count(mesh)} triangles>"
+    def inspect(%{vertices: vertices, indices: indices} = mesh, _opts)
+        when is_binary(vertices) and is_binary(indices),
+        do:
+          "#Situ.Mesh<#{Situ.Mesh.vertex_count(mesh)} vertices, #{Situ.Mesh.triangle_count(mesh)} triangles>"
+
+    def inspect(_mesh, _opts), do: "#Situ.Mesh<invalid>"
   end
 end

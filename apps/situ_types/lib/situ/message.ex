@@ -41,4 +41,23 @@ defmodule Situ.Message do
   def data_size(%__MODULE__{data: bytes}) when is_binary(bytes), do: byte_size(bytes)
   def data_size(%__MODULE__{data: %{data: bytes}}) when is_binary(bytes), do: byte_size(bytes)
   def data_size(%__MODULE__{data: data}), do: :erlang.external_size(data)
+
+  defimpl Inspect do
+    import Inspect.Algebra
+
+    # Small times count from a start, as in tests; others are since 1970.
+    @year 365 * 86_400_000_000_000
+
+    # The data is shortened, because a message may hold megabytes.
+    def inspect(message, opts) do
+      data = to_doc(message.data, %{opts | limit: 10, printable_limit: 60})
+      concat(["#Situ.Message<", data, " at #{format_time(message.originating_time)}>"])
+    end
+
+    defp format_time(time) when is_integer(time) and abs(time) >= @year,
+      do: Situ.Time.to_iso8601(time)
+
+    defp format_time(time) when is_integer(time), do: "#{time} ns"
+    defp format_time(time), do: Kernel.inspect(time)
+  end
 end

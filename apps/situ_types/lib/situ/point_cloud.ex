@@ -140,8 +140,10 @@ defmodule Situ.PointCloud do
   def decode(_bytes), do: {:error, Error.new(:bad_cloud, "not a stored point cloud")}
 
   defimpl Inspect do
-    def inspect(cloud, _opts),
+    def inspect(%{points: points} = cloud, _opts) when is_binary(points),
       do:
         "#Situ.PointCloud<#{Situ.PointCloud.point_count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
+
+    def inspect(_cloud, _opts), do: "#Situ.PointCloud<invalid>"
   end
 end

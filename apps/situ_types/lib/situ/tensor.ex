@@ -243,4 +243,11 @@ defmodule Situ.Tensor do
 
   defp decode_f64(<<x::float-native-64>>), do: x
   defp decode_f64(<<bits::native-64>>), do: Situ.Number.decode_float(<<bits::little-64>>)
+
+  defimpl Inspect do
+    def inspect(%{data: data} = tensor, _opts) when is_binary(data),
+      do: "#Situ.Tensor<#{tensor.type} #{Kernel.inspect(tensor.shape)}, #{byte_size(data)} B>"
+
+    def inspect(_tensor, _opts), do: "#Situ.Tensor<invalid>"
+  end
 end

@@ -58,4 +58,9 @@ defmodule Situ.VoxelGrid do
   @doc "Returns the number of cubes that hold a value."
   @spec voxel_count(t()) :: non_neg_integer()
   def voxel_count(%__MODULE__{voxels: voxels}), do: map_size(voxels)
+
+  defimpl Inspect do
+    def inspect(grid, _opts),
+      do: "#Situ.VoxelGrid<#{Kernel.inspect(grid.size)} m, #{map_size(grid.voxels)} voxels>"
+  end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Component.Callback do
   @moduledoc false
   # A component and the calls to its callbacks. Every result or exception becomes a value. This module does not depend
-  # on processes.
+  # on processes, except that it notes the component for log lines (`Situ.Component.LogContext`).
   alias Situ.{Columns, Component, Error, Message}
   alias Situ.Component.FunctionSwap
   alias Situ.Delivery.Batch
@@ -134,6 +134,8 @@ defmodule Situ.Component.Callback do
   @doc "Calls `init/1`, which returns `{:ok, state}` or `{:error, error}`."
   @spec run_init(module(), keyword(), String.t()) :: {:ok, term()} | {:error, Error.t()}
   def run_init(module, opts, path) do
+    Process.put(:situ_handling, {path, nil})
+
     case module.init(opts) do
       {:ok, state} -> {:ok, state}
       {:error, %Error{} = error} -> {:error, add_component_path(error, path)}
@@ -146,6 +148,7 @@ defmodule Situ.Component.Callback do
   @doc "Calls any callback that returns `{actions, state}`."
   @spec run_callback(module(), atom(), [term()], String.t()) :: outcome()
   def run_callback(module, callback, args, path) do
+    Process.put(:situ_handling, {path, nil})
     module |> apply(callback, args) |> check_result(callback, path)
   catch
     kind, reason -> {:error, exception_error(path, callback, kind, reason, __STACKTRACE__)}
@@ -159,6 +162,8 @@ defmodule Situ.Component.Callback do
         message,
         context
       ) do
+    Process.put(:situ_handling, {path, message.originating_time})
+
     case module.handle_message(input, message, context, core) do
       {actions, core} when is_list(actions) -> {:ok, actions, core}
       other -> {:error, bad_result(path, input, message, other)}
@@ -176,6 +181,8 @@ defmodule Situ.Component.Callback do
   @spec run_handle_batch(t(), atom(), Batch.t(), Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
   def run_handle_batch(%__MODULE__{module: module, core: core} = callback, input, batch, context) do
+    Process.put(:situ_handling, {callback.path, batch})
+
     result =
       case select_form(callback.columns, batch) do
         {:columns, columns} -> module.handle_columns(input, columns, context, core)
@@ -189,6 +196,9 @@ defmodule Situ.Component.Callback do
     end
   catch
     _kind, _reason -> :failed
+  after
+    # A component that waits must not keep the data of its last batch.
+    Process.put(:situ_handling, {callback.path, nil})
   end
 
   defp select_form(:all, batch) do
@@ -205,6 +215,8 @@ defmodule Situ.Component.Callback do
   @spec call_with_reply(t(), atom(), [term()]) ::
           {:ok, term(), keyword(), [Component.action()], Component.state()} | {:error, Error.t()}
   def call_with_reply(%__MODULE__{module: module, path: path, core: core}, callback, args) do
+    Process.put(:situ_handling, {path, nil})
+
     case apply(module, callback, args ++ [core]) do
       {:ok, _reply, opts, actions, _state} = answer when is_list(opts) and is_list(actions) ->
         answer
@@ -223,6 +235,7 @@ defmodule Situ.Component.Callback do
   @doc "Calls `terminate/2`. An exception in it becomes an error like any other, but stops nothing."
   @spec run_terminate(module(), term(), term(), String.t()) :: :ok | {:error, Error.t()}
   def run_terminate(module, reason, state, path) do
+    Process.put(:situ_handling, {path, nil})
     module.terminate(reason, state)
     :ok
   catch

@@ -73,4 +73,15 @@ defmodule Situ.Diagnostics.Snapshot do
           edges: [Situ.Diagnostics.Edge.t()],
           processes: [Situ.Diagnostics.Process.t()]
         }
+
+  # A snapshot fills a page. `Situ.inspect/2` prints a table of it.
+  defimpl Inspect do
+    def inspect(snapshot, _opts) do
+      running = Situ.Time.format_duration(max(snapshot.time - snapshot.start_time, 0))
+      parts = "#{length(snapshot.nodes)} components, #{length(snapshot.edges)} connections"
+
+      "#Situ.Diagnostics.Snapshot<#{Kernel.inspect(snapshot.pipeline)}, #{snapshot.state}, " <>
+        "#{parts}, after #{running}>"
+    end
+  end
 end

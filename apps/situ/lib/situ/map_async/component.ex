@@ -12,6 +12,7 @@ defmodule Situ.MapAsync.Component do
       timeout: [type: :any, default: :infinity]
     ]
 
+  alias Situ.Component.LogContext
   alias Situ.{Error, Runtime}
 
   @impl true
@@ -26,10 +27,8 @@ defmodule Situ.MapAsync.Component do
   end
 
   defp start_job(message, %{fun: fun, timeout: timeout}) do
-    me = self()
-
-    {pid, ref} =
-      Runtime.spawn_process(:erlang, "job", {__MODULE__, :run_job, [me, fun, message]}, [:monitor])
+    args = [self(), fun, message, LogContext.capture()]
+    {pid, ref} = Runtime.spawn_process(:erlang, "job", {__MODULE__, :run_job, args}, [:monitor])
 
     if timeout != :infinity, do: Runtime.send_after({:situ_late, ref, pid}, timeout)
     ref
@@ -37,7 +36,9 @@ defmodule Situ.MapAsync.Component do
 
   @doc false
   # The job ends with the component, even if the component is killed.
-  def run_job(component, fun, message) do
+  def run_job(component, fun, message, log_context) do
+    LogContext.restore(log_context)
+
     Runtime.spawn_process(
       :erlang,
       "watch of a job",

@@ -1,8 +1,14 @@
 defmodule Situ.Metrics.PipelineMetrics do
   @moduledoc false
-  # Builds the metrics of pipelines from their snapshots. `Situ.Metrics` describes them. Pure.
+  # Builds the metrics of pipelines from their snapshots and counters. `Situ.Metrics` describes them.
   alias Situ.Diagnostics.Snapshot
+  alias Situ.Metrics.LatencyHistogram
+  alias Situ.Ports.Counters
   alias Situ.{Metrics, Time}
+
+  # The largest number of connections, components and processes of a pipeline that have series of their own.
+  @most 500
+  @others "(others)"
 
   @edge_counters [
     {"messages_emitted_total", :emitted,
@@ -20,21 +26,31 @@ defmodule Situ.Metrics.PipelineMetrics do
     {"process_mailbox_messages", :mailbox, "Erlang messages waiting for a process."}
   ]
 
-  @doc "Builds the metrics of these snapshots."
-  @spec build([Snapshot.t()]) :: [Metrics.metric()]
-  def build(snapshots) do
-    edges =
-      for s <- snapshots,
-          names = port_names(s),
-          e <- s.edges,
-          e.kind == :process,
-          do: {s, names, e}
-
-    nodes = for s <- snapshots, node <- s.nodes, do: {s, node}
-    processes = for s <- snapshots, %{nodes: [_ | _]} = process <- s.processes, do: {s, process}
+  @doc "Builds the metrics of these pipelines; each is a snapshot and its counters by connection."
+  @spec build([{Snapshot.t(), %{pos_integer() => Counters.t()}}]) :: [Metrics.metric()]
+  def build(pipelines) do
+    pipelines = number_names(pipelines)
+    snapshots = Enum.map(pipelines, &elem(&1, 0))
+    edges = Enum.flat_map(pipelines, &list_edges/1)
+    nodes = Enum.flat_map(snapshots, &list_nodes/1)
+    processes = Enum.flat_map(snapshots, &list_processes/1)
 
     pipeline_metrics(snapshots) ++
-      edge_metrics(edges) ++ node_metrics(nodes) ++ process_metrics(processes)
+      edge_metrics(edges) ++
+      for({name, key, help} <- @node_counters, do: counter(name, help, samples(nodes, key))) ++
+      for({name, key, help} <- @process_gauges, do: gauge(name, help, samples(processes, key)))
+  end
+
+  # Two pipelines may have the same name, but every series needs labels of its own.
+  defp number_names(pipelines) do
+    {pipelines, _} =
+      Enum.map_reduce(pipelines, %{}, fn {%{pipeline: name} = snapshot, counters}, seen ->
+        n = Map.get(seen, name, 0) + 1
+        label = if n == 1, do: name, else: "#{name} (#{n})"
+        {{%{snapshot | pipeline: label}, counters}, Map.put(seen, name, n)}
+      end)
+
+    pipelines
   end
 
   defp pipeline_metrics(snapshots) do
@@ -53,69 +69,83 @@ defmodule Situ.Metrics.PipelineMetrics do
 
   defp edge_metrics(edges) do
     counters =
-      for {name, key, help} <- @edge_counters,
-          do: counter(name, help, for(e <- edges, do: {edge_labels(e), value(e, key)}))
+      for {name, key, help} <- @edge_counters, do: counter(name, help, samples(edges, key))
 
-    queue = for e <- edges, do: {edge_labels(e), value(e, :queue)}
-    busy = for e <- edges, do: {edge_labels(e), Time.to_seconds(value(e, :busy))}
+    busy = for {labels, values} <- edges, do: {labels, Time.to_seconds(values.busy)}
 
     counters ++
       [
-        gauge("queue_messages", "Messages that wait in the queue of an input.", queue),
+        gauge(
+          "queue_messages",
+          "Messages that wait in the queue of an input.",
+          samples(edges, :queue)
+        ),
         counter("handling_seconds_total", "Time that an input has spent with messages.", busy),
         %{
           name: "situ_latency_seconds",
-          type: :summary,
+          type: :histogram,
           help: "Time from the originating time of a message to its delivery.",
-          samples: Enum.flat_map(edges, &latency_samples/1)
+          samples:
+            Enum.flat_map(edges, fn {labels, values} ->
+              LatencyHistogram.to_samples(values.latency, labels)
+            end)
         }
       ]
   end
 
-  defp latency_samples({_, _, edge} = e) do
-    labels = edge_labels(e)
-    count = edge.processed
+  # Edges refer to components by their ids.
+  defp list_edges({snapshot, counters}) do
+    names = Map.new(snapshot.nodes, &{&1.id, &1.path})
 
-    [
-      {labels ++ [quantile: "0.99"], Time.to_seconds(round(edge.latency_p99)), :quantile},
-      {labels, Time.to_seconds(round((edge.latency_mean || 0) * count)), :sum},
-      {labels, count, :count}
-    ]
+    rows =
+      for %{id: id} = edge when is_map_key(counters, id) <- snapshot.edges do
+        from = "#{names[edge.from]}.#{edge.from_output}"
+        to = "#{names[edge.to]}.#{edge.to_input}"
+        values = Map.take(edge, [:emitted, :processed, :dropped, :queue, :busy])
+        latency = LatencyHistogram.read(Map.fetch!(counters, id))
+        {label(snapshot) ++ [from: from, to: to], Map.put(values, :latency, latency)}
+      end
+
+    join_surplus(rows, label(snapshot) ++ [from: @others, to: @others])
   end
 
-  defp node_metrics(nodes) do
-    for {name, key, help} <- @node_counters do
-      samples =
-        for {s, node} <- nodes, do: {label(s) ++ [component: node.path], Map.get(node, key)}
+  defp list_nodes(snapshot) do
+    rows =
+      for node <- snapshot.nodes,
+          do: {label(snapshot) ++ [component: node.path], Map.from_struct(node)}
 
-      counter(name, help, samples)
+    join_surplus(rows, label(snapshot) ++ [component: @others])
+  end
+
+  defp list_processes(snapshot) do
+    rows =
+      for %{nodes: [first | _]} = process <- snapshot.processes,
+          do: {label(snapshot) ++ [component: first], Map.from_struct(process)}
+
+    join_surplus(rows, label(snapshot) ++ [component: @others])
+  end
+
+  # Prometheus keeps every series, so their number must not grow with the branches of a pipeline.
+  defp join_surplus(rows, labels) do
+    case Enum.split(rows, @most) do
+      {rows, []} -> rows
+      {rows, surplus} -> rows ++ [{labels, surplus |> Enum.map(&elem(&1, 1)) |> add_values()}]
     end
   end
 
-  defp process_metrics(processes) do
-    for {name, key, help} <- @process_gauges do
-      samples =
-        for {s, %{nodes: [first | _]} = process} <- processes,
-            do: {label(s) ++ [component: first], Map.get(process, key)}
-
-      gauge(name, help, samples)
-    end
+  defp add_values(maps) do
+    Enum.reduce(maps, fn values, sums ->
+      Map.merge(sums, values, fn _key, a, b -> add_value(a, b) end)
+    end)
   end
+
+  defp add_value(a, b) when is_number(a) and is_number(b), do: a + b
+  defp add_value(%LatencyHistogram{} = a, b), do: LatencyHistogram.add(a, b)
+  defp add_value(a, _b), do: a
 
   defp label(snapshot), do: [pipeline: snapshot.pipeline]
 
-  # Edges refer to components by their ids.
-  defp port_names(snapshot), do: Map.new(snapshot.nodes, &{&1.id, &1.path})
-
-  defp edge_labels({snapshot, names, edge}) do
-    label(snapshot) ++
-      [
-        from: "#{names[edge.from]}.#{edge.from_output}",
-        to: "#{names[edge.to]}.#{edge.to_input}"
-      ]
-  end
-
-  defp value({_, _, edge}, key), do: Map.get(edge, key)
+  defp samples(rows, key), do: for({labels, %{^key => value}} <- rows, do: {labels, value})
 
   defp gauge(name, help, samples),
     do: %{name: "situ_" <> name, type: :gauge, help: help, samples: samples}

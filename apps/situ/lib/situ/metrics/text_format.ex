@@ -28,6 +28,9 @@ defmodule Situ.Metrics.TextFormat do
   defp encode_sample(name, {labels, value, :count}),
     do: sample_line([name, "_count"], labels, value)
 
+  defp encode_sample(name, {labels, value, :bucket}),
+    do: sample_line([name, "_bucket"], labels, value)
+
   defp encode_sample(name, {labels, value, :quantile}), do: sample_line(name, labels, value)
   defp encode_sample(name, {labels, value}), do: sample_line(name, labels, value)
 

@@ -19,6 +19,10 @@ defmodule Situ.Operator.Chain do
   # busy processes, that is the case after a few messages.
   @unpacked_together 256
 
+  @doc "Returns how many messages a chain handles before it notes its progress for log lines."
+  @spec messages_per_note() :: pos_integer()
+  def messages_per_note, do: @check_every
+
   @enforce_keys [:steps]
   defstruct [:steps, :composed, takes_message?: false, skips?: false]
 
@@ -111,6 +115,7 @@ defmodule Situ.Operator.Chain do
 
   defp run_parts(chain, columns, till, before) do
     {part, rest} = Batch.split(columns, @unpacked_together)
+    with {path, _all} <- Process.get(:situ_handling), do: Process.put(:situ_handling, {path, part})
     {results, chain, outcome} = run_batch(chain, part, till)
     before = [results | before]
 
@@ -119,7 +124,10 @@ defmodule Situ.Operator.Chain do
       else: {before |> :lists.reverse() |> :lists.append(), chain, outcome}
   end
 
+  # `:situ_left` and `:situ_handling` are for log lines: see `Situ.Component.LogContext`.
   defp run_data(data, fun, till, results) do
+    Process.put(:situ_left, data)
+
     case run_some(data, fun, results, @check_every) do
       {[], results} ->
         {results, :done}
@@ -144,6 +152,8 @@ defmodule Situ.Operator.Chain do
   defp run_some(rest, _fun, results, _count), do: {rest, results}
 
   defp run_messages(messages, chain, till, results) do
+    Process.put(:situ_left, messages)
+
     case run_some_messages(messages, chain, results, @check_every) do
       {[], chain, results} ->
         {:lists.reverse(results), chain, :done}

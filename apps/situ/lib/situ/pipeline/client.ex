@@ -178,6 +178,16 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
+  @doc "Returns the counters of each connection by its id, or an error as `fetch_snapshot/2`."
+  @spec fetch_counters(pid(), timeout()) ::
+          {:ok, %{pos_integer() => Situ.Ports.Counters.t()}} | {:error, Error.t()}
+  def fetch_counters(pid, timeout) do
+    case call_process(pid, :counters, timeout, nil) do
+      {:error, error} -> {:error, error}
+      counters -> {:ok, counters}
+    end
+  end
+
   @doc "Reports movement that the pipeline's counters do not show, so that it does not count as stuck."
   @spec report_movement(Pipeline.target()) :: term()
   def report_movement(p), do: send(resolve_pid(p), :situ_moving)

@@ -70,9 +70,38 @@ defmodule Situ.Pipeline.Launcher do
   @spec validate_options(Situ.Pipeline.spec(), keyword()) ::
           {:ok, keyword()} | {:error, Error.t()}
   def validate_options(spec, opts) do
-    if is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0),
-      do: Situ.Options.validate(opts, spec.options()),
-      else: {:ok, opts}
+    cond do
+      is_function(spec) ->
+        check_known(opts, [], "a function has no options of its own")
+
+      is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0) ->
+        check_known(opts, spec.options(), nil)
+
+      true ->
+        {:ok, opts}
+    end
+  end
+
+  # Settings next to the options, instead of in `pipeline:`, are a common mistake.
+  defp check_known(opts, schema, why) do
+    with {:error, %{code: :unknown_option} = error} <- Situ.Options.validate(opts, schema) do
+      own = Keyword.keys(schema)
+      settings = Keyword.keys(Settings.schema())
+
+      case Enum.find(Keyword.keys(opts), &(&1 not in own and &1 in settings)) do
+        nil -> {:error, %{error | why: why}}
+        key -> {:error, misplaced_setting_error(key, opts[key])}
+      end
+    end
+  end
+
+  defp misplaced_setting_error(key, value) do
+    setting = "#{key}: #{inspect(value, limit: 5, printable_limit: 40)}"
+
+    Error.new(:unknown_option, "unknown option #{inspect(key)}",
+      why: "#{inspect(key)} is a setting of the pipeline",
+      fix: "write pipeline: [#{setting}]"
+    )
   end
 
   # A process that dies during `build` leaves only an exit reason.

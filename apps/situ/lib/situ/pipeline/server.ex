@@ -119,6 +119,9 @@ defmodule Situ.Pipeline.Server do
     {:reply, snapshot, state |> Inspection.mark_totals() |> Inspection.request_descriptions()}
   end
 
+  # Processes of this node can read the counters without further requests.
+  defp handle_request(:counters, _from, state), do: {:reply, state.wires.counters, state}
+
   defp handle_request({:trace, time}, _from, state),
     do: {:reply, Inspection.trace_message(state, time), state}
 

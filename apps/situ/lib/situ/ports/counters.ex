@@ -225,6 +225,30 @@ defmodule Situ.Ports.Counters do
     if left <= 0, do: bound(bucket), else: seek(ref, bucket + 1, left)
   end
 
+  @doc """
+  Returns how many messages had a latency of less than 2^e ns, for each exponent `e` (ascending, 10 or more), and the
+  number of all messages. All numbers are from one reading, so they never decrease.
+  """
+  @spec latency_counts(t(), [pos_integer()]) :: {[non_neg_integer()], non_neg_integer()}
+  def latency_counts(ref, exponents) do
+    ends = Enum.map(exponents, &((&1 - 10) * 4))
+
+    {counts, {next, sum}} =
+      Enum.map_reduce(ends, {0, 0}, fn last, {next, sum} ->
+        sum = sum + sum_buckets(ref, next, last)
+        {sum, {last + 1, sum}}
+      end)
+
+    {counts, sum + sum_buckets(ref, next, @buckets - 1)}
+  end
+
+  @doc "Returns the sum of the latencies of all messages, in microseconds."
+  @spec latency_sum(t()) :: integer()
+  def latency_sum(ref), do: :atomics.get(ref, @latency_sum)
+
+  defp sum_buckets(ref, first, last),
+    do: Enum.reduce(first..last//1, 0, &(&2 + :atomics.get(ref, @first + &1)))
+
   # Buckets 0..3 hold less than 1.024, 1.28, 1.536, 1.792 us ..., four to each power of two.
   defp bucket(latency) when latency < 1024, do: 0
 

@@ -67,7 +67,12 @@ defmodule Situ.Stage.BatchRunner do
   # Two messages are not worth a look at the time.
   defp run_chain(step, input, batch, {started, deadline}) do
     till = if Batch.size(batch) > 2, do: Step.vm_deadline(step, deadline), else: :never
+    path = hd(step.vertices).path
+    Process.put(:situ_handling, {path, batch})
     {results, chain, outcome} = Chain.run_batch(step.worker, batch, till)
+    # A chain that waits must not keep the data of its last batch.
+    Process.put(:situ_handling, {path, nil})
+    Process.delete(:situ_left)
     step = %{step | worker: chain}
 
     case split_handled(batch, results, outcome) do

@@ -62,4 +62,29 @@ defmodule Situ.Pipeline.DeclaredOptionsTest do
     assert report.result ==
              {["Enumerable", "Doubled", "Side.Same"], ["Doubled", "Side.Same"]}
   end
+
+  describe "settings in the wrong place" do
+    test "are refused for a function, with the right place" do
+      build = fn _p -> flunk("must not be built") end
+
+      for launch <- [&Pipeline.run/2, &Pipeline.start/2, &Pipeline.start_link/2] do
+        assert {:error, error} = launch.(build, name: "Hall")
+        assert {error.code, error.fix} == {:unknown_option, ~s(write pipeline: [name: "Hall"])}
+        assert error.why == ":name is a setting of the pipeline"
+      end
+
+      assert {:error, error} = Pipeline.run(build, pipeline: [name: "Hall"], threshold: 1)
+      assert error.what == "unknown option :threshold"
+      assert error.fix =~ "no options"
+      assert {:error, %{fix: fix}} = Pipeline.run(build, pipeline: [nme: "Hall"])
+      assert fix =~ "did you mean :name?"
+    end
+
+    test "are refused for a module with declared options" do
+      assert {:error, error} = Pipeline.run(Counter, to: self(), spede: 2)
+      assert error.code == :unknown_option
+      assert {:error, error} = Pipeline.run(Counter, to: self(), max_restarts: 1)
+      assert error.fix == "write pipeline: [max_restarts: 1]"
+    end
+  end
 end

@@ -26,6 +26,13 @@ defmodule Situ.Pipeline.SupervisionTest do
     def child_spec(opts), do: %{super(opts) | restart: :temporary, shutdown: 500}
   end
 
+  defmodule Strict do
+    use Situ.Pipeline, restart: :permanent, shutdown: 3_000
+
+    @impl true
+    def build(p, _opts), do: Situ.timer(p, every: Situ.Time.s(1))
+  end
+
   setup do
     registry = :"#{__MODULE__}.#{System.unique_integer([:positive])}"
     start_supervised!({Registry, keys: :unique, name: registry})
@@ -87,6 +94,25 @@ defmodule Situ.Pipeline.SupervisionTest do
     assert %{restart: :temporary, shutdown: 500} = Once.child_spec([])
     spec = Supervisor.child_spec({Door, []}, id: :other, restart: :permanent)
     assert %{id: :other, restart: :permanent, type: :supervisor, shutdown: 10_000} = spec
+  end
+
+  test "use Situ.Pipeline sets fields of the child specification" do
+    assert %{id: Strict, restart: :permanent, shutdown: 3_000} = Strict.child_spec([])
+
+    assert_raise Situ.Error, ~r/unknown option :restrat/, fn ->
+      Code.eval_string("defmodule Typo do use Situ.Pipeline, restrat: :permanent end")
+    end
+  end
+
+  test "a supervisor takes modules, functions, and several pipelines of one module" do
+    clock = fn p -> Situ.timer(p, every: Situ.Time.s(1)) end
+    named = for name <- ["Front", "Back"], do: {Door, pipeline: [name: name]}
+    children = [Once, {Pipeline, Strict}, {Pipeline, clock} | named]
+    {:ok, supervisor} = Supervisor.start_link(children, strategy: :one_for_one)
+    ids = for {id, pid, _, _} <- Supervisor.which_children(supervisor), is_pid(pid), do: id
+    assert Enum.sort([Once, Strict, clock, {Door, "Front"}, {Door, "Back"}]) == Enum.sort(ids)
+    :ok = Supervisor.stop(supervisor)
+    refute Enum.any?(Pipeline.list(), &(&1.name in ["Front", "Back"]))
   end
 
   test "wrong names and missing registries are errors" do

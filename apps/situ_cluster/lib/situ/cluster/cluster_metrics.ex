@@ -1,10 +1,14 @@
 defmodule Situ.Cluster.ClusterMetrics do
   @moduledoc false
-  # The metrics of this node as a member of a cluster, for `Situ.Metrics`: load, and the round trips to other nodes.
+  # The metrics of this node as a member of a cluster, for `Situ.Metrics`: load, the round trips to other nodes, and
+  # the leases of the parts that it may run.
   @behaviour Situ.Metrics
 
-  alias Situ.Cluster.NodeMetrics
+  alias Situ.Cluster.{Agent, Member, NodeMetrics, Runners}
   alias Situ.Time
+
+  # A runner that does not respond for this long is left out, in ms.
+  @timeout 2_000
 
   @impl true
   def collect_metrics do
@@ -12,8 +16,43 @@ defmodule Situ.Cluster.ClusterMetrics do
 
     case vitals[node()] do
       nil -> []
-      own -> build(own, map_size(vitals))
+      own -> build(own, map_size(vitals)) ++ build_leases(list_leases())
     end
+  end
+
+  defp list_leases do
+    if Process.whereis(Agent),
+      do: Enum.flat_map(Member.list_deployments(), &list_leases/1),
+      else: []
+  end
+
+  defp list_leases(%{name: name}) do
+    runners = Map.values(Agent.list_runners(Agent, name, @timeout))
+    for %{part: _} = info <- Runners.collect_infos(runners, @timeout), do: {name, info}
+  end
+
+  @doc "Builds the metrics of leases from the names of deployments and the states of this node's runners."
+  @spec build_leases([{String.t(), map()}]) :: [Situ.Metrics.metric()]
+  def build_leases(runners) do
+    leases =
+      for {deployment, %{part: part} = info} <- runners,
+          do: {[deployment: deployment, part: part], info}
+
+    held = for {labels, info} <- leases, do: {labels, if(info.phase == :standby, do: 0, else: 1)}
+    epochs = for {labels, %{epoch: n}} when n != nil <- leases, do: {labels, n}
+
+    [
+      gauge(
+        "situ_cluster_lease_held",
+        "Whether this node has the lease of a part (1) or is on standby (0).",
+        held
+      ),
+      gauge(
+        "situ_cluster_lease_epoch",
+        "Number of the lease that this node has; it changes with every takeover.",
+        epochs
+      )
+    ]
   end
 
   @doc "Builds the metrics from the node's measurements and the number of nodes that were heard of recently."

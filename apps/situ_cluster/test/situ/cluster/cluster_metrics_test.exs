@@ -18,6 +18,19 @@ defmodule Situ.Cluster.ClusterMetricsTest do
     assert text =~ ~s(situ_round_trip_seconds{peer="b@host"} 0.002\n)
   end
 
+  test "writes the leases of the parts that this node may run" do
+    runners = [
+      {"lab", %{part: "Mouth", phase: :running, epoch: 7}},
+      {"lab", %{part: "Ears", phase: :standby, epoch: nil}}
+    ]
+
+    text = Situ.Metrics.to_text(ClusterMetrics.build_leases(runners))
+    assert text =~ ~s(situ_cluster_lease_held{deployment="lab",part="Mouth"} 1\n)
+    assert text =~ ~s(situ_cluster_lease_held{deployment="lab",part="Ears"} 0\n)
+    assert text =~ ~s(situ_cluster_lease_epoch{deployment="lab",part="Mouth"} 7\n)
+    refute text =~ ~s(situ_cluster_lease_epoch{deployment="lab",part="Ears"})
+  end
+
   test "a node outside of a cluster has no metrics, and the module is registered" do
     assert ClusterMetrics in Application.get_env(:situ_cluster, :metrics)
     assert is_list(ClusterMetrics.collect_metrics())

@@ -121,7 +121,8 @@ defmodule Situ.Link.Connection do
   def handle_cast({:consumed, id, bytes, last}, state) do
     case state.channels do
       %{^id => channel} ->
-        {:noreply, FrameHandler.send_credit(state, Channel.record_consumed(channel, bytes, last))}
+        channel = Channel.record_consumed(channel, bytes, last, LinkInfo.sender_time(state))
+        {:noreply, FrameHandler.send_credit(state, channel)}
 
       _ ->
         {:noreply, state}

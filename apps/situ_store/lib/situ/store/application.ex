@@ -1,9 +1,10 @@
 defmodule Situ.Store.Application do
   @moduledoc false
-  # Supervises the indexes of segmented recordings (`Situ.Store.SegmentedRecording.Index`) and the program for object
-  # storage (`Situ.Store.S3.Client`). Each may restart without the other.
+  # Supervises the list of open recordings, the indexes of segmented recordings
+  # (`Situ.Store.SegmentedRecording.Index`), and the program for object storage (`Situ.Store.S3.Client`). Each may restart
+  # without the others.
   use Application
-  alias Situ.Store.{S3, Segments}
+  alias Situ.Store.{OpenRecordings, S3, Segments}
   alias Situ.Store.SegmentedRecording.Index
 
   @impl true
@@ -12,7 +13,7 @@ defmodule Situ.Store.Application do
     S3.Mirror.create_table()
     S3.RecentListings.create_table()
 
-    Supervisor.start_link([index_supervisor(), S3.Client],
+    Supervisor.start_link([OpenRecordings, index_supervisor(), S3.Client],
       strategy: :one_for_one,
       name: Situ.Store.Supervisor
     )

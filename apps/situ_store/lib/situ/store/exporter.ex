@@ -237,4 +237,11 @@ defmodule Situ.Store.Exporter do
          nil <- Query.interval(store),
          do: Folder.remove_store(writer.path)
   end
+
+  defimpl Inspect do
+    def inspect(exporter, _opts) do
+      split = if exporter.rotation, do: ", split", else: ""
+      "#Situ.Store<writing #{Kernel.inspect(exporter.path)}#{split}>"
+    end
+  end
 end

@@ -11,7 +11,7 @@ defmodule Situ.Store.Rotation do
   # recordings of that name.
   # See docs/adr/0132-long-recordings-are-split-into-segments.md.
   use GenServer
-  alias Situ.Store.{Draft, Folder, Maintenance, Writer}
+  alias Situ.Store.{Draft, Folder, Maintenance, OpenRecordings, Writer}
   alias Situ.Store.Rotation.{SplitPoint, EarlierRuns, Retention}
   require Logger
 
@@ -142,6 +142,7 @@ defmodule Situ.Store.Rotation do
              run: state.run,
              number: number
            }) do
+      OpenRecordings.add_writer(writer)
       wake_readers(state.open)
 
       piece = %{
@@ -193,6 +194,7 @@ defmodule Situ.Store.Rotation do
     {%{writer: writer} = piece, open} = Map.pop(state.open, number)
     # A failure here only affects how much of the recording later runs keep.
     _ = if piece.duration != 0, do: Writer.append_catalog(writer, %{kind: "piece", full: true})
+    OpenRecordings.remove_writer(writer)
     _ = Writer.close(writer)
 
     piece =

@@ -1,14 +1,17 @@
 defmodule Situ.Store.SharedWriter do
   @moduledoc false
   # A writer that several components of a pipeline share. The last component to leave closes it.
-  alias Situ.Store.Writer
+  alias Situ.Store.{OpenRecordings, Writer}
 
   @enforce_keys [:writer, :users]
   defstruct [:writer, :users]
   @type t :: %__MODULE__{writer: Writer.t(), users: :atomics.atomics_ref()}
 
   @spec new(Writer.t()) :: t()
-  def new(writer), do: %__MODULE__{writer: writer, users: :atomics.new(1, signed: true)}
+  def new(writer) do
+    OpenRecordings.add_writer(writer)
+    %__MODULE__{writer: writer, users: :atomics.new(1, signed: true)}
+  end
 
   @doc "Adds a component that writes to the store."
   @spec add_user(t()) :: :ok
@@ -23,6 +26,7 @@ defmodule Situ.Store.SharedWriter do
   @doc "Closes the store. Failures are ignored because no component is left to handle them; committed data is safe."
   @spec close(t()) :: :ok
   def close(shared) do
+    OpenRecordings.remove_writer(shared.writer)
     _ = Writer.close(shared.writer)
     :ok
   end

@@ -377,4 +377,13 @@ defmodule Situ.Store.Writer do
     |> Native.writer_record(Catalog.encode_record(record), Situ.Time.now())
     |> NativeErrors.wrap_error(writer.path)
   end
+
+  defimpl Inspect do
+    def inspect(writer, _opts), do: "#Situ.Store.Writer<#{Kernel.inspect(writer.path)}>"
+  end
+
+  defimpl Inspect, for: Stream do
+    def inspect(%{writer: %{path: path}, name: name}, _opts),
+      do: "#Situ.Store.Writer.Stream<#{Kernel.inspect(name)}, #{Kernel.inspect(path)}>"
+  end
 end

@@ -75,7 +75,7 @@ defmodule Situ.Studio.PreviewTest do
           |> Situ.from_enumerable(["a", "b"], every: 10)
           |> Situ.Store.write(store, "Words & more")
         end,
-        replay: [interval: {0, :unbounded}, speed: :max]
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
       )
 
     {:ok, recording} = Situ.Store.open(Path.join(dir, "lab"))

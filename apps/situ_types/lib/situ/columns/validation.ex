@@ -96,7 +96,7 @@ defmodule Situ.Columns.Validation do
   defp fields_error(columns) do
     Error.new(
       :not_columns,
-      "the fields of #{inspect(columns, limit: 3)} do not fit to each other",
+      "the fields of #{inspect(Map.from_struct(columns), limit: 3)} do not fit to each other",
       why:
         "there are \"count\" times and values, floats are finite, and an envelope is complete or absent",
       fix: "build columns with Situ.Columns.new/2 and put_values/3"

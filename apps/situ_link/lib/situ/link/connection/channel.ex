@@ -18,6 +18,7 @@ defmodule Situ.Link.Connection.Channel do
     :window,
     :last,
     :consumed,
+    :consumed_at,
     :datagram,
     :receiver,
     times: :sender,
@@ -35,8 +36,8 @@ defmodule Situ.Link.Connection.Channel do
   @typedoc """
   `backlog` counts the bytes that were delivered but not consumed yet, and `credit_due` the consumed bytes that were
   not yet credited to the server. `last` is the originating time of the last delivered message, and `consumed` the
-  time of the last consumed one. `datagram` is the requested datagram size, and `receiver` is the process that
-  receives datagrams.
+  time of the last consumed one, which was consumed at `consumed_at` by the sender's clock. `datagram` is the
+  requested datagram size, and `receiver` is the process that receives datagrams.
   """
   @type t :: %__MODULE__{}
 
@@ -133,17 +134,24 @@ defmodule Situ.Link.Connection.Channel do
 
   defp add_credit_due(channel, bytes), do: %{channel | credit_due: channel.credit_due + bytes}
 
-  @doc "Records that the subscriber has consumed `bytes`, up to the time `last`."
-  @spec record_consumed(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()
-  def record_consumed(%__MODULE__{} = channel, bytes, last) do
+  @doc "Records that the subscriber has consumed `bytes`, up to the time `last`, when the sender's clock was `at`."
+  @spec record_consumed(t(), non_neg_integer(), Situ.Time.t() | nil, Situ.Time.t()) :: t()
+  def record_consumed(%__MODULE__{} = channel, bytes, last, at) do
     credit_due = channel.credit_due + bytes
+    channel = %{channel | backlog: channel.backlog - bytes, credit_due: credit_due}
+    if last, do: %{channel | consumed: last, consumed_at: at}, else: channel
+  end
 
-    %{
-      channel
-      | backlog: channel.backlog - bytes,
-        credit_due: credit_due,
-        consumed: last || channel.consumed
-    }
+  @doc """
+  Returns how much older than the sender's clock the last consumed message was when it was consumed, in ns. With
+  `waiting?`, later messages exist or may exist, so the lag is that of the time `now`.
+  """
+  @spec lag(t(), Situ.Time.t(), boolean()) :: Situ.Time.duration() | nil
+  def lag(%__MODULE__{consumed: nil}, _now, _waiting?), do: nil
+
+  def lag(%__MODULE__{} = channel, now, waiting?) do
+    at = if waiting? or channel.backlog > 0, do: now, else: channel.consumed_at
+    max(at - channel.consumed, 0)
   end
 
   @doc "Returns the credit to send to the server, or 0 while it is too small to justify a frame."

@@ -21,8 +21,22 @@ defmodule Situ.Link.Connection.LinkInfo do
         for(
           {_, channel} <- state.channels,
           into: %{},
-          do: {channel.name, Channel.channel_stats(channel)}
+          do: {channel.name, describe_channel(channel, state)}
         )
     }
+  end
+
+  # A stream that has ended does not fall behind.
+  defp describe_channel(channel, state) do
+    waiting? = state.socket == nil and not channel.ended?
+    lag = Channel.lag(channel, sender_time(state), waiting?)
+    Map.put(Channel.channel_stats(channel), :lag, lag)
+  end
+
+  @doc "Returns the current time of the sender's clock, as far as it is known."
+  @spec sender_time(map()) :: Situ.Time.t()
+  def sender_time(state) do
+    now = state.opts.now.()
+    now + ClockEstimate.offset_at(state.clock, now)
   end
 end

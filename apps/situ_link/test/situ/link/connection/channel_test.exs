@@ -15,7 +15,7 @@ defmodule Situ.Link.Connection.ChannelTest do
           {:ok, channel} = Channel.accept_batch(channel, size, time, 1)
 
           {bytes, channel} =
-            channel |> Channel.record_consumed(size, time) |> Channel.take_credit()
+            channel |> Channel.record_consumed(size, time, time) |> Channel.take_credit()
 
           assert told + bytes <= Enum.sum(sizes)
           {channel, told + bytes}
