@@ -15,6 +15,7 @@ defmodule Situ.Media.MixProject do
       mod: {Situ.Media.Application, []},
       env: [
         recording_formats: [Situ.Media.Recording, Situ.Media.Wav.Recording],
+        video_coder: Situ.Media.StoredVideo,
         dataset_tasks: [Situ.Media.Task.AudioToWav, Situ.Media.Task.EncodeImages]
       ]
     )

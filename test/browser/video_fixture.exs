@@ -14,7 +14,26 @@ defmodule VideoFixture do
     # A cut at an image that is not a key frame; the images before it are decoded, but not shown.
     copy(path.("bframes.mp4"), ~w(-ss 1.3), ~w(), path.("cut.mp4"))
     copy(path.("bframes.mp4"), ~w(), ~w(-metadata:s:v rotate=90), path.("turned.mp4"))
+    record(path.("bframes.mp4"), "stored", folder, & &1)
+    # An odd size
+    record(path.("bframes.mp4"), "odd", folder, &Situ.ImageStream.resize(&1, 239, 159))
     folder
+  end
+
+  # A recording whose images are stored as video.
+  defp record(film, name, folder, change) do
+    {:ok, _} =
+      Situ.Pipeline.run(
+        fn p ->
+          store = Situ.Store.create(p, name, folder)
+          %{video: images} = Situ.Media.VideoFile.open(p, film, audio: false)
+
+          images
+          |> change.()
+          |> Situ.Store.write(store, "Video", encode: {:h264, keyframe_every: 1_000_000_000})
+        end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
   end
 
   defp films do

@@ -72,6 +72,8 @@ const FILMS = [
   ["vp9.webm", "VP9"],
   ["av1.mp4", "AV1"],
   ["jpeg.mov", "JPEG"],
+  ["stored", "a recording whose images are stored as H.264"],
+  ["odd", "stored images of an odd size"],
 ];
 
 for (const [file, what, first] of FILMS)
@@ -80,6 +82,7 @@ for (const [file, what, first] of FILMS)
     const id = await panelOf(page, "Video");
     equal(await decided(page, id), "", "why the server decodes it");
     await compareRandomTimes(page, id, 8, first);
+    if (file === "odd") equal((await shown(page, id)).note, "239 × 159", "size");
     await shot(`video-${file}`);
   });
 

@@ -27,6 +27,7 @@ CODED = [
     situ.Image(2, 2, "gray8", 2, b"abcd"),
     situ.DepthImage(1, 1, 2, 0.001, "plane", b"ab"),
     situ.EncodedImage("jpeg", 1, 2, b"\xff\xd8"),
+    situ.VideoPacket("h264", 3, 5, 4, "bgr24", b"\x00\x00\x01\x41"),
     situ.AudioBuffer(16_000, 2, "s16", b"abcd"),
     situ.Tensor("<f4", (2, 1), b"01234567"),
     situ.PointCloud(b"0123456789ab", b"rgb"),

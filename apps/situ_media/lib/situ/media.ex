@@ -36,6 +36,35 @@ defmodule Situ.Media do
   The guide "Files and devices" has more examples.
   """
   alias Situ.Media.{Camera, Device, LiveStream, Microphone, VideoFile}
+  alias Situ.Media.StoredVideo.FileCopy
+
+  @copy_options [
+    from: [
+      type: {:optional, :integer},
+      default: nil,
+      doc: "The first originating time. The file begins with the key frame at or before it."
+    ],
+    to: [type: {:optional, :integer}, default: nil, doc: "The last originating time."],
+    progress: [
+      type: {:optional, {:fun, 1}},
+      default: nil,
+      doc: "Called with the number of images that are written."
+    ]
+  ]
+
+  @doc """
+  Writes a stream that is stored as video (`encode:` of `Situ.Store.write/4`) to a file (`.mp4`, `.mov`, `.mkv`,
+  `.webm`) without encoding it again: `{:ok, count}`. Times are rounded to 1/90,000 s (1 ms in MKV and WebM). All images
+  must have the same size.
+
+  #{Situ.Options.docs(@copy_options)}
+  """
+  @spec copy_video(Situ.Store.t(), String.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
+  def copy_video(store, stream, path, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @copy_options),
+         do: FileCopy.write_file(store, stream, path, opts)
+  end
 
   @doc """
   Opens a source of images and audio by name, so that a pipeline can be tested with a file and run with a camera.

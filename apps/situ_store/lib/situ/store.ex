@@ -137,6 +137,25 @@ defmodule Situ.Store do
   every delivery is on disk before the next is processed.
 
   #{Options.docs(Exporter.write_options())}
+
+  ## Video
+
+  With `encode: :h264`, images are recorded as video: an hour of 1080p takes about 1 GB. Each image keeps its own time
+  and sequence id, and reading returns images (with the pixels that a decoder makes of the compressed ones). `:vp8` and
+  `:vp9` are possible, too, and replace H.264 with a warning if FFmpeg cannot encode it.
+
+      Situ.Store.write(camera, store, "Camera", encode: {:h264, quality: 20, keyframe_every: Situ.Time.s(1)})
+
+  | option | |
+  |---|---|
+  | `quality:` | 0 to 51, default 23; lower values mean better quality and larger recordings (x264's CRF) |
+  | `bitrate:` | bits per second, instead of a constant quality |
+  | `keyframe_every:` | the time between key frames in ns, default 2 s; a jump decodes from the key frame before |
+  | `preset:` | `:ultrafast`, `:veryfast` (default), `:fast`, `:medium` or `:slow` |
+  | `threads:` | encoder threads; 0 (default): one per core |
+
+  An image is recorded when it is encoded, without waiting for later ones. Images of 16 bits or with transparency are
+  refused. A crop begins with the key frame at or before its start, and single images cannot be edited.
   """
   @spec write(Situ.Stream.t() | nil, exporter() | nil, String.t(), keyword()) ::
           Situ.Stream.t() | nil

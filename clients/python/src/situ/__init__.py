@@ -25,7 +25,8 @@ from .reader import AbandonedWarning, DeletedWarning, Message, Store, Stream, op
 from .segments import SegmentedStore
 from .terms import Atom, Struct
 from .times import from_datetime, from_text, now, to_datetime, to_text
-from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded
+from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded, VideoPacket
+from .video import decode_video
 from .writer import Writer, create
 
 __version__ = "0.1.0"
@@ -55,8 +56,10 @@ __all__ = [
     "Struct",
     "Tensor",
     "Undecoded",
+    "VideoPacket",
     "Writer",
     "create",
+    "decode_video",
     "from_datetime",
     "from_text",
     "now",

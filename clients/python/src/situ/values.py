@@ -218,6 +218,43 @@ class EncodedImage(_Value):
         return cls("jpeg" if code == 1 else "png", width, height, raw[cls.HEAD.size :])
 
 
+# code: name
+VIDEO_CODECS = {1: "h264", 2: "vp8", 3: "vp9"}
+_VIDEO_CODES = {name: code for code, name in VIDEO_CODECS.items()}
+
+
+@dataclasses.dataclass(repr=False)
+class VideoPacket(_Value):
+    """One image of a stream of images that is recorded as video: the bytes for a decoder.
+
+    `position` is 0 for a key frame, where a decoder can start, otherwise the number of images since the last one.
+    `situ.decode_video` returns the images.
+    """
+
+    codec: str
+    position: int
+    width: int
+    height: int
+    format: str
+    data: bytes
+
+    NAME = "situ.video_packet"
+    TYPE = "Situ.VideoPacket"
+    HEAD = struct.Struct("<BBBBIII")
+
+    def encode(self) -> bytes:
+        codes = (1, _VIDEO_CODES[self.codec], _IMAGE_CODES[self.format], 0)
+        return self.HEAD.pack(*codes, self.width, self.height, self.position) + bytes(self.data)
+
+    @classmethod
+    def decode(cls, raw):
+        _require(len(raw) >= cls.HEAD.size, "a video packet is shorter than its header")
+        version, codec, format, _, width, height, position = cls.HEAD.unpack_from(raw)
+        known = version == 1 and codec in VIDEO_CODECS and format in IMAGE_FORMATS
+        _require(known, "a video packet has an unknown version, codec or format")
+        return cls(VIDEO_CODECS[codec], position, width, height, IMAGE_FORMATS[format][0], raw[cls.HEAD.size :])
+
+
 @dataclasses.dataclass(repr=False)
 class AudioBuffer(_Value):
     """Audio: interleaved little-endian samples. The time of its message is the end of the buffer."""
@@ -422,7 +459,8 @@ class Undecoded(_Value):
     data: Buffer
 
 
-CODECS = {kind.NAME: kind for kind in (Image, DepthImage, EncodedImage, AudioBuffer, Tensor, PointCloud, Pose)}
+_KINDS = (Image, DepthImage, EncodedImage, VideoPacket, AudioBuffer, Tensor, PointCloud, Pose)
+CODECS = {kind.NAME: kind for kind in _KINDS}
 
 
 def decode_value(name: str, raw: Any) -> Any:

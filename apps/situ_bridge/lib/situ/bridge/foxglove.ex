@@ -26,6 +26,7 @@ defmodule Situ.Bridge.Foxglove do
   |---|---|
   | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
   | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `CompressedVideo` (H.264, VP9) | export only, from images that are recorded as video (`Situ.VideoPacket`) |
   | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
   | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
   | `Pose`, `PoseInFrame` | `Situ.Pose` |

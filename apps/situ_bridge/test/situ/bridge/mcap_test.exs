@@ -39,6 +39,42 @@ defmodule Situ.Bridge.McapTest do
     assert stamped.creation_time == imu.originating_time
   end
 
+  test "images that are stored as video are exported as packets, from a key frame on", %{
+    tmp_dir: dir
+  } do
+    packet = fn i ->
+      bytes = <<0, 0, 0, 1, if(rem(i, 5) == 0, do: 0x65, else: 0x41), i>>
+      {:h264, rem(i, 5), bytes}
+    end
+
+    {:ok, writer} = Store.Writer.create("video", dir)
+    {:ok, stream} = Store.Writer.stream(writer, "Camera", type: Situ.Image)
+
+    messages =
+      for i <- 0..19 do
+        {codec, position, bytes} = packet.(i)
+        size = [width: 16, height: 16, format: :bgr24]
+        data = struct!(Situ.VideoPacket, [codec: codec, position: position, data: bytes] ++ size)
+
+        %Situ.Message{
+          data: data,
+          originating_time: i * 1_000,
+          creation_time: i * 1_000,
+          sequence_id: i
+        }
+      end
+
+    {:ok, _} = Store.Writer.append(stream, messages)
+    :ok = Store.Writer.close(writer)
+    file = Path.join(dir, "video.mcap")
+    assert {:ok, 18} = Mcap.export(Store.open!(writer.path), file, from: 3_000, to: 17_000)
+    again = Store.open!(file, reader_opts: [messages: :maps])
+    [first | _] = exported = again |> Store.messages("Camera") |> Enum.to_list()
+    assert %{"format" => "h264", "data" => <<0, 0, 0, 1, 0x65, 0>>, "timestamp" => 0} = first.data
+    assert Enum.map(exported, & &1.originating_time) == for(i <- 0..17, do: i * 1_000)
+    assert {:ok, %{type_name: "foxglove.CompressedVideo"}} = Store.stream_info(again, "Camera")
+  end
+
   test "records a file in a pipeline and replays it", %{tmp_dir: dir} do
     path = Path.join(dir, "own.mcap")
     values = for i <- 1..500, do: {i * 1_000_000, i / 2}

@@ -5,8 +5,16 @@ defmodule Situ.Media.Application do
 
   @impl true
   def start(_type, _args) do
-    Supervisor.start_link(Situ.Media.Recording.Servers.child_specs(),
-      strategy: :one_for_all,
+    servers = %{
+      id: :servers,
+      type: :supervisor,
+      start:
+        {Supervisor, :start_link,
+         [Situ.Media.Recording.Servers.child_specs(), [strategy: :one_for_all]]}
+    }
+
+    Supervisor.start_link([servers, Situ.Media.SmallCopies],
+      strategy: :one_for_one,
       name: Situ.Media.Supervisor
     )
   end

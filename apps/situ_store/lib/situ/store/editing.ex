@@ -3,7 +3,17 @@ defmodule Situ.Store.Editing do
   # Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original
   # is only read.
   alias Situ.{Error, Message}
-  alias Situ.Store.{Copying, Draft, NativeErrors, Query, StreamInfo, Transfer, Writer}
+
+  alias Situ.Store.{
+    Copying,
+    Draft,
+    NativeErrors,
+    Query,
+    StreamInfo,
+    Transfer,
+    VideoCoder,
+    Writer
+  }
 
   @options [
     add: [
@@ -36,7 +46,8 @@ defmodule Situ.Store.Editing do
          {:ok, store} <- Query.open(from),
          infos = Query.streams(store),
          added = Enum.map(opts[:add], &new_stream/1),
-         :ok <- check_edits(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
+         :ok <- check_edits(edits, infos ++ Enum.map(added, &elem(&1, 0)), store),
+         :ok <- check_video(edits, infos, store) do
       build_edited_store(to, store, infos, added, edits, opts)
     end
   end
@@ -50,6 +61,23 @@ defmodule Situ.Store.Editing do
     case Map.keys(edits) -- names do
       [] -> Enum.find_value(infos, :ok, &find_type_mismatch(&1, edits[&1.name] || []))
       [name | _] -> {:error, NativeErrors.no_stream_error(name, names, store.path)}
+    end
+  end
+
+  # Images of a video refer to each other, so a single one cannot be replaced.
+  defp check_video(edits, infos, store) do
+    edited = Enum.filter(infos, &((edits[&1.name] || []) != []))
+
+    case Enum.find(edited, &VideoCoder.stored_as_video?(store, &1)) do
+      nil ->
+        :ok
+
+      info ->
+        {:error,
+         Error.new(:not_editable, "single images of #{inspect(info.name)} cannot be changed",
+           why: "they are stored as video, where images refer to each other",
+           fix: "put the new images into another stream (add:), or crop the recording"
+         )}
     end
   end
 

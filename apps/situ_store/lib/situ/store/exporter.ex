@@ -12,6 +12,7 @@ defmodule Situ.Store.Exporter do
     SharedWriter,
     Sink,
     MemoryStores,
+    VideoCoder,
     Writer
   }
 
@@ -22,6 +23,12 @@ defmodule Situ.Store.Exporter do
                      type: [
                        type: :any,
                        doc: "The `Situ.Type` to record. Default: the stream's type."
+                     ],
+                     encode: [
+                       type: :any,
+                       doc:
+                         "For a stream of images: record them as video, `:h264`, `:vp8`, `:vp9` or " <>
+                           "`{codec, options}`. See the section on video."
                      ],
                      envelopes: [
                        type: :boolean,
@@ -157,11 +164,15 @@ defmodule Situ.Store.Exporter do
 
   def write(%Stream{} = stream, %__MODULE__{} = exporter, name, opts) when is_binary(name) do
     opts = Options.validate!(opts, @write_options)
-    type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
+    type = recorded_type(stream, opts)
+    written = encode_images(stream, name, opts)
 
-    if exporter.rotation,
-      do: write_segmented(stream, exporter, name, stream_options_for(opts, type), opts),
-      else: write_single_store(stream, exporter, name, stream_options_for(opts, type), opts)
+    result =
+      if exporter.rotation,
+        do: write_segmented(written, exporter, name, stream_options_for(opts, type), opts),
+        else: write_single_store(written, exporter, name, stream_options_for(opts, type), opts)
+
+    if opts[:after_commit], do: result, else: stream
   end
 
   def write(stream, exporter, name, _opts) do
@@ -180,6 +191,32 @@ defmodule Situ.Store.Exporter do
     raise ArgumentError,
           "Situ.Store.write/4 takes a stream, a store from Situ.Store.create/4, and a name, but #{wrong}\n" <>
             ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
+  end
+
+  # The type of encoded images tells readers to decode them.
+  defp recorded_type(stream, opts) do
+    cond do
+      opts[:encode] -> Situ.Image
+      opts[:type] -> opts[:type]
+      opts[:envelopes] -> :any
+      true -> stream.type
+    end
+  end
+
+  # The encoder has a name of its own, and receives what the recording would receive.
+  defp encode_images(stream, name, opts) do
+    cond do
+      opts[:encode] == nil ->
+        stream
+
+      opts[:envelopes] or opts[:after_commit] or opts[:keys] ->
+        raise ArgumentError, "encode: cannot be combined with envelopes:, keys: or after_commit:"
+
+      true ->
+        own = Keyword.take(component_options(name, opts), [:policy, :on_error])
+        name = "Encode " <> String.replace(name, ".", " ")
+        VideoCoder.encode_stream(stream, opts[:encode], [name: name] ++ own)
+    end
   end
 
   defp stream_options_for(opts, type) do

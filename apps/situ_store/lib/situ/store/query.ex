@@ -1,7 +1,7 @@
 defmodule Situ.Store.Query do
   @moduledoc false
   # Reads open recordings of any format. `Situ.Store` is the public interface and has the documentation.
-  alias Situ.{Error, Message, Options}
+  alias Situ.{Error, Message, Options, VideoPacket}
 
   alias Situ.Recording
   alias Situ.Recording.Formats
@@ -12,7 +12,8 @@ defmodule Situ.Store.Query do
     NativeFormat,
     SchemaEvolution,
     SegmentedRecording,
-    StreamInfo
+    StreamInfo,
+    VideoCoder
   }
 
   @open_options [
@@ -41,6 +42,12 @@ defmodule Situ.Store.Query do
     doc: "Leave the data `nil` where decoding is expensive."
   ]
 
+  @packets [
+    type: :boolean,
+    default: false,
+    doc: "Return images that are stored as video as `Situ.VideoPacket`, without decoding them."
+  ]
+
   @message_options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
     to: [
@@ -62,7 +69,8 @@ defmodule Situ.Store.Query do
       default: false,
       doc: "Skip damaged chunks. Otherwise the `Situ.Error` is raised."
     ],
-    envelopes: @envelopes
+    envelopes: @envelopes,
+    packets: @packets
   ]
 
   @read_options @message_options ++
@@ -73,7 +81,7 @@ defmodule Situ.Store.Query do
                       doc: "The maximum number of messages."
                     ]
                   ]
-  @at_options [envelopes: @envelopes]
+  @at_options [envelopes: @envelopes, packets: @packets]
 
   # The number of messages per read.
   @batch 1_000
@@ -267,8 +275,19 @@ defmodule Situ.Store.Query do
   def latest_at(store, name, time) do
     with {:ok, info} <- stream_info(store, name) do
       if Recording.implements?(store, :latest_at, 3),
-        do: store.module.latest_at(store.state, info, time),
+        do: find_latest(store, info, time),
         else: seek_latest(store, info, time)
+    end
+  end
+
+  # A packet is decoded where it is read by its ordinal.
+  defp find_latest(store, info, time) do
+    case store.module.latest_at(store.state, info, time) do
+      {:ok, %{data: %VideoPacket{}}} when info.type == Situ.Image ->
+        seek_latest(store, info, time)
+
+      result ->
+        result
     end
   end
 
@@ -299,8 +318,10 @@ defmodule Situ.Store.Query do
           pos_integer(),
           keyword()
         ) :: {:ok, [Message.t()], non_neg_integer()} | {:error, Error.t()}
-  def read_batch(store, info, ordinal, to, limit, opts),
-    do: store.module.read(store.state, info, ordinal, to, limit, opts)
+  def read_batch(store, info, ordinal, to, limit, opts) do
+    result = store.module.read(store.state, info, ordinal, to, limit, opts)
+    VideoCoder.decode_batch(store, info, result, {ordinal, to, opts})
+  end
 
   @spec gaps(Recording.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
   def gaps(store, name, least) do

@@ -22,7 +22,7 @@ defmodule Situ.Store.Sink do
       ]
     ]
 
-  alias Situ.Columns
+  alias Situ.{Columns, VideoPacket}
   alias Situ.Store.{Rotation, SharedWriter, StreamDraft, Writer}
   alias Situ.Store.Rotation.SplitPoint
 
@@ -97,7 +97,11 @@ defmodule Situ.Store.Sink do
 
   defp write_messages(messages, %{rotation: {_, cut, _, _}} = state) do
     messages
-    |> Enum.map(&{SplitPoint.segment_number(cut, &1.originating_time), &1})
+    |> Enum.map_reduce(state.segment, fn message, previous ->
+      number = segment_number(message, cut, previous)
+      {{number, message}, number}
+    end)
+    |> elem(0)
     |> Enum.chunk_by(&elem(&1, 0))
     |> Enum.reduce({[], state}, fn [{number, _} | _] = part, {[], state} ->
       part = Enum.map(part, &elem(&1, 1))
@@ -110,6 +114,14 @@ defmodule Situ.Store.Sink do
   end
 
   defp write_messages(messages, state), do: buffer_messages(messages, state)
+
+  # A segment of a video begins with a key frame, so the images before it stay in the segment of theirs.
+  defp segment_number(%{data: %VideoPacket{position: position}}, _cut, previous)
+       when position > 0 and previous != nil,
+       do: previous
+
+  defp segment_number(message, cut, _previous),
+    do: SplitPoint.segment_number(cut, message.originating_time)
 
   # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
   defp enter_segment(%{rotation: {rotation, _cut, name, opts}} = state, number) do

@@ -141,7 +141,12 @@ defmodule Situ.Store.Transfer do
 
   def transfer_messages(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
     store
-    |> Query.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
+    |> Query.messages(info,
+      index: ordinal,
+      to: to,
+      skip_damage: transfer.skip_damage,
+      packets: true
+    )
     |> Stream.chunk_every(1_000)
     |> Enum.reduce_while({:ok, transfer}, fn batch, {:ok, transfer} ->
       case append_messages(transfer, batch) do

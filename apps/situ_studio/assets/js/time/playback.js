@@ -70,7 +70,9 @@ export class Playback {
       };
       run.waiting = false;
       run.heard = 0;
-      run.clock = () => from + Math.max(0, context.currentTime - start) * 1e9 * run.speed;
+      let heard = from;
+      // the cursor never goes back, even if the latency grows
+      run.clock = () => (heard = Math.max(heard, from + (audibleTime(context) - start) * 1e9 * run.speed));
       playChunks(first);
       for (let at = from + CHUNK; at < to && !run.stop; at += CHUNK) {
         playChunks(await Promise.all(sounds.map((x) => this.fetchChunk(x, at, to))));
@@ -117,6 +119,14 @@ export class Playback {
     run.heard += buffer.length;
     node.onended = () => run.nodes.delete(node);
   }
+}
+
+// Returns the time of the sample that is heard now, in the seconds of the context. The device plays a sample some time
+// after the context has processed it, for Bluetooth up to 0.3 s.
+/** @param {AudioContext} context */
+export function audibleTime(context) {
+  const latency = context.outputLatency;
+  return context.currentTime - (latency > 0 && latency < 1 ? latency : 0);
 }
 
 // Returns one channel of interleaved samples.

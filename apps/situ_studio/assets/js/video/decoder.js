@@ -11,6 +11,8 @@ const QUEUE = 16;
  * @property {string} codec
  * @property {Uint8Array} description
  * @property {number} rotation
+ * @property {number} [width] the size of the images in pixels; they may be compressed with one more column or row
+ * @property {number} [height]
  * @property {boolean} colorStated whether the stream states its color matrix
  * @property {(number: number, image: any, bytes: number) => void} accept
  * @property {(reason: string) => void} fail
@@ -61,8 +63,9 @@ export class SequenceDecoder {
    * @param {Config} options
    * @param {VideoDecoderConfig} config
    */
-  constructor({ rotation, accept, fail }, config) {
+  constructor({ rotation, width, height, accept, fail }, config) {
     this.config = config;
+    this.size = [width ?? 0, height ?? 0];
     this.rotation = rotation;
     this.accept = accept;
     // a decoder that is closed keeps quiet
@@ -120,6 +123,7 @@ export class SequenceDecoder {
   takeFrame(frame) {
     this.wake();
     if (this.closed || frame.timestamp < 0) return frame.close();
+    frame = cropFrame(frame, this.size);
     if (!this.rotation) return this.accept(frame.timestamp, frame, frame.codedWidth * frame.codedHeight * 1.5);
     const image = rotateImage(frame, this.rotation);
     this.accept(frame.timestamp, image, image.width * image.height * 4);
@@ -131,6 +135,25 @@ export class SequenceDecoder {
     this.wake();
     if (this.decoder.state !== "closed") this.decoder.close();
   }
+}
+
+// Removes the column and the row that make the size of a compressed image even.
+/**
+ * @param {VideoFrame} frame
+ * @param {number[]} size
+ */
+export function cropFrame(frame, [width, height]) {
+  const { displayWidth, displayHeight } = frame;
+  const [extraWidth, extraHeight] = [displayWidth - width, displayHeight - height];
+  const padded = (extra, size) => extra === 1 && size % 2 === 1;
+  const columns = padded(extraWidth, width),
+    rows = padded(extraHeight, height);
+  if (!columns && !rows) return frame;
+  const visibleRect = { x: 0, y: 0, width: displayWidth - Number(columns), height: displayHeight - Number(rows) };
+  const { width: w, height: h } = visibleRect;
+  const cropped = new VideoFrame(frame, { visibleRect, displayWidth: w, displayHeight: h });
+  frame.close();
+  return cropped;
 }
 
 // Turns an image clockwise by a multiple of 90 degrees.

@@ -96,6 +96,18 @@ export class PacketIndex {
     return p;
   }
 
+  // Returns the largest number of packets from one key frame to the next.
+  longestGroup() {
+    let longest = 0,
+      key = 0;
+    for (let p = 0; p <= this.count; p++)
+      if (p === this.count || this.isKey(p)) {
+        longest = Math.max(longest, p - key);
+        key = p;
+      }
+    return longest;
+  }
+
   // Returns the packet after this one where a decoder can start, or the number of packets.
   keyAfter(packet) {
     let p = packet + 1;

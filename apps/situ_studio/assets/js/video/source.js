@@ -6,10 +6,16 @@ import { PacketStore } from "./packet_store.js";
 import { packetReader } from "./nal.js";
 import { findMissing, planStep, skippable } from "./plan.js";
 
-const FRAME_BYTES = 256 * 1048576;
+// The memory for the decoded images of all streams of the page: an eighth of the computer's, from 256 MB to 1 GB.
+const MEMORY = /** @type {any} */ (globalThis.navigator)?.deviceMemory ?? 4;
+const FRAME_BYTES = Math.min(Math.max(MEMORY * 128, 256), 1024) * 1048576;
 const PACKET_BYTES = 64 * 1048576;
-// Images that are decoded after the one at the cursor, at rest and at most during playback.
+// Images that are decoded after the one at the cursor, while it moves and at most during playback. At rest, half of the
+// memory is filled.
 const AHEAD = 6;
+const REST = 150;
+// With small copies, another part of the stream is decoded only when the cursor has rested for so many ms.
+const HOLD = 60;
 const MOST_AHEAD = 40;
 // Playback is this far ahead, in ns.
 const PLAY_AHEAD = 3e8;
@@ -17,6 +23,14 @@ const PLAY_AHEAD = 3e8;
 const SHOW_EVERY = 50;
 // A server that does not answer is asked again after so many ms.
 const RETRY = 1000;
+
+/** @type {Set<VideoSource>} */
+const sources = new Set();
+
+function shareMemory() {
+  const all = [...sources].reduce((sum, source) => sum + source.share, 0);
+  for (const source of sources) source.cache.limit = Math.floor((FRAME_BYTES * source.share) / all);
+}
 
 export class VideoSource {
   /**
@@ -27,13 +41,16 @@ export class VideoSource {
    * @param {(first: number, count: number) => Promise<ArrayBuffer>} options.fetchBytes
    * @param {() => void} options.changed called when another image can be shown
    * @param {(reason: string) => void} options.failed called when this page cannot decode the stream
+   * @param {number} [options.share] the part of the memory for decoded images, compared with other streams
    */
-  constructor({ index, codec, description, fetchBytes, changed, failed }) {
+  constructor({ index, codec, description, fetchBytes, changed, failed, share = 1 }) {
     this.index = index;
+    this.alone = index.longestGroup() === 1;
     this.reader = packetReader(codec, description);
     this.changed = changed;
     this.failed = failed;
     this.cache = new FrameCache(FRAME_BYTES);
+    this.share = share;
     this.store = new PacketStore(index, fetchBytes, PACKET_BYTES);
     this.target = -1;
     this.ahead = AHEAD;
@@ -44,6 +61,14 @@ export class VideoSource {
     this.offline = false;
     this.closed = false;
     this.stats = { decoded: 0, starts: 0 };
+    this.frameBytes = 0;
+    // whether small copies are shown meanwhile
+    this.patient = false;
+    this.movedAt = -Infinity;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.resting = undefined;
+    sources.add(this);
+    shareMemory();
     /** @type {import("./decoder.js").SequenceDecoder | import("./decoder.js").StillDecoder | null} */
     this.decoder = null;
     this.wake = () => {};
@@ -59,6 +84,7 @@ export class VideoSource {
   accept(number, image, bytes) {
     if (this.closed) return image.close();
     this.stats.decoded++;
+    this.frameBytes = bytes;
     this.fruitful = true;
     this.progress.pending.delete(number);
     this.cache.put(number, image, bytes);
@@ -77,8 +103,19 @@ export class VideoSource {
     this.ahead = rate ? Math.min(Math.ceil((PLAY_AHEAD * rate) / period), MOST_AHEAD) : AHEAD;
     if (image !== this.target) {
       this.target = image;
+      if (!rate) this.movedAt = performance.now();
       if (image >= 0) this.cache.center = image;
+      clearTimeout(this.resting);
+      if (!rate) this.resting = setTimeout(() => this.fillAhead(), REST);
     }
+    this.wake();
+  }
+
+  // At rest, the images after the cursor are decoded, so that a short move finds them. The ones before it were decoded
+  // on the way from the key frame.
+  fillAhead() {
+    const half = Math.floor(this.cache.limit / 2 / Math.max(this.frameBytes, 1));
+    if (this.frameBytes) this.ahead = Math.max(this.ahead, half - 2);
     this.wake();
   }
 
@@ -109,7 +146,10 @@ export class VideoSource {
     if (plan === "lost") return this.giveUp("its decoder did not return every image");
     if (plan === "flush") return this.flush();
     // Another start would not show anything if the last one has not yet.
-    if (typeof plan === "object" && this.fruitful) return this.start(plan.start);
+    if (typeof plan === "object" && this.fruitful) {
+      const rested = performance.now() - this.movedAt;
+      return this.patient && rested < HOLD ? this.waitForRest(HOLD - rested) : this.start(plan.start);
+    }
     if (this.progress.next >= this.index.count) return this.flush();
     // Further packets are needed only if those that wait do not suffice.
     if (this.progress.pending.has(image)) await this.decoder?.drain();
@@ -117,12 +157,17 @@ export class VideoSource {
     return this.feed(image);
   }
 
+  waitForRest(ms) {
+    return new Promise((resolve) => setTimeout(resolve, ms));
+  }
+
   async start(key) {
     if (key < 0) return this.giveUp("it has no key frame before the cursor");
     const bytes = await this.loadPacket(key);
     if (!bytes || this.closed) return;
     if (this.reader && !this.reader.startsDecoding(bytes)) return this.index.dropKey(key);
-    this.decoder?.start();
+    // A decoder of images that are all key frames continues with any of them.
+    if (!this.alone || this.stats.starts === 0) this.decoder?.start();
     this.stats.starts++;
     this.fruitful = false;
     this.progress = { next: key, pending: new Set(), flushed: false };
@@ -190,6 +235,9 @@ export class VideoSource {
 
   close() {
     this.closed = true;
+    clearTimeout(this.resting);
+    sources.delete(this);
+    shareMemory();
     this.wake();
     this.decoder?.close();
     this.cache.clear();

@@ -2,14 +2,11 @@
 // code is a separate module that the page loads with the first such stream.
 
 import { scriptAddress } from "../page/dom.js";
-import { formatDuration } from "../time/text.js";
 
 const HERE = scriptAddress() ?? location.href;
 /** @type {Promise<typeof import("../video/index.js")> | null} */
 let decoding = null;
 const loadDecoding = () => (decoding ??= import(new URL("video.js", HERE).href));
-
-const seconds = (value, usual) => (typeof value === "number" && value >= 0 ? value * 1e9 : usual);
 
 export class VideoLayer {
   /**
@@ -30,11 +27,12 @@ export class VideoLayer {
     this.reason = "";
     this.begun = false;
     this.closed = false;
-    /** @type {import("../video/source.js").VideoSource | null} */
-    this.source = null;
-    this.start = 0n;
-    /** @type {string | null | undefined} the offset of the compared recording when the index was read */
-    this.offset = null;
+    /** @type {import("../video/film.js").Film | null} */
+    this.film = null;
+  }
+
+  get source() {
+    return this.film?.source ?? null;
   }
 
   // Called with the first image from the server.
@@ -49,15 +47,11 @@ export class VideoLayer {
     const described = await this.fetchIndex();
     if (this.closed) return;
     if (!described.codec) return described.problem && this.useServer(described.problem);
-    const { openVideo } = await loadDecoding();
-    const found = await openVideo(described, {
-      fetchBytes: (first, count) => this.fetchBytes(first, count),
-      changed: this.changed,
-      failed: (reason) => this.useServer(reason),
-    });
-    if (found.reason !== undefined) return this.useServer(found.reason);
-    if (this.closed) return found.source.close();
-    Object.assign(this, { source: found.source, start: found.start, offset });
+    const { openFilm } = await loadDecoding();
+    const film = await openFilm(this, described, offset);
+    if (film.reason !== undefined) return this.useServer(film.reason);
+    if (this.closed) return film.close();
+    this.film = film;
     this.opened(this.layer);
     this.update();
   }
@@ -67,72 +61,36 @@ export class VideoLayer {
     return `${this.app.options.videoUrl(what)}&${query}`;
   }
 
-  async fetchIndex() {
-    const response = await fetch(this.address("video"));
+  async fetchIndex(more = {}) {
+    const response = await fetch(this.address("video", more));
     if (!response.ok) throw new Error(await response.text());
     return response.json();
   }
 
-  async fetchBytes(first, count) {
-    const response = await fetch(this.address("packets", { first, count }));
-    // an error with a status is an answer; without one, the server could not be reached
-    if (!response.ok) throw Object.assign(new Error(await response.text()), { status: response.status });
-    return response.arrayBuffer();
-  }
-
-  // Returns the page's time of the index's zero. The offset of a compared recording may have changed.
-  zero() {
-    const { client } = this.app;
-    const moved = this.layer.vis.stream.includes("Compared.") && client.offset != null && this.offset != null;
-    return client.toRelative(this.start) + (moved ? Number(BigInt(client.offset) - BigInt(this.offset ?? 0)) : 0);
-  }
-
   // Follows the cursor. Returns whether the page decodes the stream.
   update() {
-    if (!this.source) return false;
-    const s = this.app.time.get();
-    const { asked } = this.layer.vis;
-    const past = seconds(asked?.past, Infinity),
-      future = seconds(asked?.future, 0);
-    const image = this.source.index.imageAt(Math.round(s.cursor) - this.zero(), past, future);
-    this.source.setTarget(image, s.mode === "play" ? s.speed : 0);
+    if (!this.film) return false;
+    this.film.follow();
     this.changed();
     return true;
   }
 
   // Sets the layer's picture to the decoded one.
   apply() {
-    const { source, layer } = this;
-    if (!source) return;
-    const found = source.current();
-    layer.decoding = source.pending && !source.offline;
-    // until the first image is decoded, that of the server stays
-    if (!found && source.target >= 0) return;
-    layer.drawer.close(layer);
-    if (!found) return;
-    const { image } = found;
-    const size = { width: image.displayWidth ?? image.width, height: image.displayHeight ?? image.height };
-    // the source closes the image
-    layer.picture = { image, ...size, borrowed: true };
-    layer.at = source.index.times[found.number] + this.zero();
+    this.film?.apply();
   }
 
   // Yields what the corner of the panel says about the decoding.
   *facts(cursor) {
     if (this.reason) yield `decoded by the server: ${this.reason}`;
-    if (this.source?.offline) yield "the server does not respond; the video continues when it does";
-    else if (this.source?.pending) {
-      const away = cursor - this.layer.at;
-      if (Math.abs(away) > 0)
-        yield `decoding: ${formatDuration(Math.abs(away))} ${away > 0 ? "before" : "after"} the cursor`;
-    }
+    if (this.film) yield* this.film.facts(cursor);
   }
 
   useServer(reason) {
     if (this.closed) return;
     this.reason = reason.trim().replace(/\.$/, "");
-    const had = this.source;
-    this.source = null;
+    const had = this.film;
+    this.film = null;
     this.layer.decoding = false;
     if (had) {
       this.layer.picture = null;
@@ -144,7 +102,7 @@ export class VideoLayer {
 
   close() {
     this.closed = true;
-    this.source?.close();
-    this.source = null;
+    this.film?.close();
+    this.film = null;
   }
 }

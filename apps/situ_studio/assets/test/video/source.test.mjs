@@ -75,12 +75,47 @@ test("random jumps end at the right image, with bounded memory", async () => {
     await until(() => !source.pending, `image ${image} is decoded`);
     const found = source.current();
     assert.deepEqual([found.number, found.image.number, found.exact], [image, image, true]);
-    assert.ok(source.cache.bytes <= 256 * 1048576 + 1e6);
+    assert.ok(source.cache.bytes <= source.cache.limit + 1e6);
     assert.equal(decoder.alive.size, source.cache.frames.size);
   }
   assert.deepEqual(failures, []);
   source.close();
   assert.equal(decoder.alive.size, 0, "every image was closed");
+});
+
+test("at rest, the images after the cursor are decoded, as far as there is memory for them", async () => {
+  const { source } = open();
+  source.cache.limit = 50e6;
+  source.setTarget(120, 0);
+  await until(() => !source.pending, "the image is decoded");
+  source.fillAhead();
+  await until(() => source.cache.has(142), "the images after it are decoded");
+  assert.ok(source.cache.has(120) && source.cache.bytes <= source.cache.limit);
+  assert.equal(source.stats.starts, 1);
+  source.close();
+});
+
+test("with small copies, a moving cursor does not start the decoder again and again", async () => {
+  const { source } = open();
+  source.patient = true;
+  for (let i = 0; i < 200; i++) {
+    source.setTarget((i * 137) % COUNT, 0);
+    await new Promise((resolve) => setImmediate(resolve));
+  }
+  assert.ok(source.stats.starts <= 2, `${source.stats.starts} starts`);
+  source.setTarget(450, 0);
+  while (source.pending) await new Promise((resolve) => setTimeout(resolve, 5));
+  assert.equal(source.current().number, 450);
+  source.close();
+});
+
+test("streams share the memory for decoded images", () => {
+  const [{ source: a }, { source: b }] = [open(), open()];
+  assert.equal(a.cache.limit, b.cache.limit);
+  const half = a.cache.limit;
+  b.close();
+  assert.equal(a.cache.limit, 2 * half);
+  a.close();
 });
 
 test("a cursor that never stops still shows images", async () => {

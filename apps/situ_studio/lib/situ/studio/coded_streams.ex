@@ -4,6 +4,7 @@ defmodule Situ.Studio.CodedStreams do
   # sessions, comparisons and derived streams only pass them on. See
   # docs/adr/0189-the-page-decodes-compressed-video.md.
   alias Situ.{Error, Recording, Store}
+  alias Situ.Media.SmallCopies
   alias Situ.Recording.CodedVideo
   alias Situ.Studio.Recordings
 
@@ -22,8 +23,40 @@ defmodule Situ.Studio.CodedStreams do
   def read_packets(recording, name, first, count) do
     with {:ok, info} <- Store.stream_info(recording, name),
          {:ok, {recording, info, _offset}} <- find_origin(recording, info, 0),
-         true <- Recording.implements?(recording, :coded_packets, 4) || :none,
          do: CodedVideo.read_packets(recording, info, first, count)
+  end
+
+  @doc """
+  Describes small copies of the images, each of which can be decoded alone. Returns `:pending` while they are made, and
+  `:none` for a stream that has none.
+  """
+  @spec fetch_small(Recording.t(), String.t()) ::
+          {:ok, CodedVideo.t()} | :pending | :none | {:error, Error.t()}
+  def fetch_small(recording, name) do
+    with {:ok, {copy, info, offset}} <- find_small(recording, name),
+         {:ok, video} <- CodedVideo.fetch(copy, info),
+         do: {:ok, CodedVideo.shift_times(video, offset)}
+  end
+
+  @doc "Returns the bytes of packets of small copies."
+  @spec read_small_packets(Recording.t(), String.t(), non_neg_integer(), non_neg_integer()) ::
+          {:ok, [binary()]} | :pending | :none | {:error, Error.t()}
+  def read_small_packets(recording, name, first, count) do
+    with {:ok, {copy, info, _offset}} <- find_small(recording, name),
+         do: CodedVideo.read_packets(copy, info, first, count)
+  end
+
+  defp find_small(recording, name) do
+    with {:ok, info} <- Store.stream_info(recording, name),
+         {:ok, {%{module: Situ.Media.Recording, state: file}, info, offset}} <-
+           find_origin(recording, info, 0),
+         {:ok, copy} <- SmallCopies.fetch(file),
+         {:ok, info} <- Store.stream_info(copy, info.name) do
+      {:ok, {copy, info, offset}}
+    else
+      {:ok, _other_recording} -> :none
+      other -> other
+    end
   end
 
   # An adapter and an expression make other data of the images.

@@ -18,7 +18,8 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
     Point3,
     PointCloud,
     Pose,
-    Transform
+    Transform,
+    VideoPacket
   }
 
   @package "foxglove."
@@ -157,6 +158,7 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
     do: if(Pixels.encoding_name(image), do: @package <> "RawImage")
 
   def message_type(%EncodedImage{}), do: @package <> "CompressedImage"
+  def message_type(%VideoPacket{}), do: @package <> "CompressedVideo"
   def message_type(%PointCloud{}), do: @package <> "PointCloud"
   def message_type(%Transform{}), do: @package <> "FrameTransform"
   def message_type([%Transform{} | _]), do: @package <> "FrameTransforms"
@@ -184,6 +186,10 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
 
   def to_message(_name, %EncodedImage{} = image, time, frame),
     do: put_frame(%{"format" => Atom.to_string(image.format), "data" => image.data}, time, frame)
+
+  # Foxglove takes H.264 in the same form: Annex B, with the parameters in every key frame and without B-frames.
+  def to_message(_name, %VideoPacket{} = packet, time, frame),
+    do: put_frame(%{"format" => Atom.to_string(packet.codec), "data" => packet.data}, time, frame)
 
   def to_message(_name, %PointCloud{} = cloud, time, frame),
     do: cloud |> encode_cloud() |> put_frame(time, frame)

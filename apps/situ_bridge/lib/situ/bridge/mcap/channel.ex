@@ -24,6 +24,10 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp build_channel(topic, :json, _opts, _first), do: {:ok, json_channel(topic)}
 
+  # ROS has no message for compressed video.
+  defp build_channel(topic, :auto, opts, %Situ.VideoPacket{} = first),
+    do: build_channel(topic, :protobuf, opts, first)
+
   defp build_channel(topic, :protobuf, opts, first) do
     case opts[:type] || Foxglove.StandardTypes.message_type(first) do
       nil -> {:error, no_type_error(topic, :protobuf, "Foxglove message")}

@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Recorder.StoreExport do
   alias Situ.Bridge.Mcap
   alias Situ.Bridge.Mcap.ExtraFields
   alias Situ.{Error, Store}
-  alias Situ.Store.StreamInfo
+  alias Situ.Store.{Query, StreamInfo, VideoCoder}
 
   def export_store(module, store, path, opts) do
     {selection, opts} = Keyword.pop(opts, :streams)
@@ -24,7 +24,10 @@ defmodule Situ.Bridge.Recorder.StoreExport do
       topics: topics,
       infos: infos,
       progress: progress,
-      heads: fn -> build_heads(store, selection, read_opts, topic[:encoding]) end
+      heads: fn ->
+        read_opts = read_opts ++ [video?: video_allowed?(module, topic[:encoding])]
+        build_heads(store, selection, read_opts, topic[:encoding])
+      end
     }
 
     write_file(job, MapSet.new())
@@ -161,12 +164,36 @@ defmodule Situ.Bridge.Recorder.StoreExport do
         selection == nil or info.name in selection,
         info.name not in extra_names,
         info.count > 0,
-        stream =
-          {with_all_fields(store, info.type_name, encoding), {info, extras[info.name]}, read_opts},
         reduce: [] do
       heads ->
-        put_head([], info.name, first_ordinal(store, info, read_opts[:from]), stream, heads)
+        {first, packets?} = find_start(store, info, read_opts)
+        extra = {info, extras[info.name]}
+        opts = read_opts |> Keyword.delete(:video?) |> Keyword.put(:packets, packets?)
+        stream = {with_all_fields(store, info.type_name, encoding), extra, opts}
+        put_head([], info.name, first, stream, heads)
     end
+  end
+
+  # Compressed video begins with a key frame.
+  defp find_start(store, info, read_opts) do
+    first = first_ordinal(store, info, read_opts[:from])
+
+    if read_opts[:video?] and foxglove_video?(store, info),
+      do: {VideoCoder.find_key(store, info, first), true},
+      else: {first, false}
+  end
+
+  # Foxglove has a message for compressed video. In ROS, images are written one by one.
+  defp video_allowed?(module, encoding),
+    do: module == Mcap.Writer and encoding in [nil, :auto, :protobuf]
+
+  # Foxglove's message has no VP8.
+  defp foxglove_video?(store, info) do
+    VideoCoder.stored_as_video?(store, info) and
+      match?(
+        {:ok, %{data: %{codec: codec}}} when codec != :vp8,
+        Store.at(store, info, 0, packets: true)
+      )
   end
 
   defp first_ordinal(_store, _info, nil), do: 0
@@ -202,7 +229,7 @@ defmodule Situ.Bridge.Recorder.StoreExport do
   defp read_messages({store, {info, extra}, read_opts}, from) do
     to = read_opts[:to] || :unbounded
 
-    case store.module.read(store.state, info, from, to, 100, read_opts) do
+    case Query.read_batch(store, info, from, to, 100, read_opts) do
       {:ok, [], next} -> {[], next}
       {:ok, messages, next} -> {ExtraFields.join_extra(messages, store, extra, from), next}
       {:error, error} -> raise error

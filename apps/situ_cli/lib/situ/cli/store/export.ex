@@ -16,7 +16,8 @@ defmodule Situ.CLI.Store.Export do
     "parquet" => :parquet,
     "protobuf" => :protobuf,
     "mcap" => :mcap,
-    "bag" => :bag
+    "bag" => :bag,
+    "video" => :video
   }
   @endings %{
     ".arrow" => :arrow,
@@ -27,7 +28,11 @@ defmodule Situ.CLI.Store.Export do
     ".parquet" => :parquet,
     ".pb" => :protobuf,
     ".mcap" => :mcap,
-    ".bag" => :bag
+    ".bag" => :bag,
+    ".mp4" => :video,
+    ".mov" => :video,
+    ".mkv" => :video,
+    ".webm" => :video
   }
   # Files of these formats contain complete recordings.
   @recordings %{mcap: Mcap, bag: Ros.Bag}
@@ -40,12 +45,13 @@ defmodule Situ.CLI.Store.Export do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
+          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, bag, MP4",
         about: """
         MCAP files and bags contain all or the selected streams. Other files contain one stream; with --on, a table
         contains several streams, joined on time. CSV, JSON and MessagePack have the layouts of Situ.Bridge.Format,
-        which \\psi reads and writes as well. Plain numbers are written to CSV, Parquet and Arrow at a million per
-        second or more.
+        which \\psi reads and writes as well. Images that are stored as video become a video file (.mp4, .mov, .mkv,
+        .webm) without being encoded again; it begins with a key frame. Plain numbers are written to CSV, Parquet and
+        Arrow at a million per second or more.
         """,
         arguments: [
           path: [
@@ -56,8 +62,8 @@ defmodule Situ.CLI.Store.Export do
           file: [
             kind: :file,
             doc:
-              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .arrow, .pb, .mcap, .bag); - for " <>
-                "standard output"
+              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .arrow, .pb, .mcap, .bag, .mp4 ...); - " <>
+                "for standard output"
           ]
         ],
         options:
@@ -102,6 +108,7 @@ defmodule Situ.CLI.Store.Export do
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
           "situ store save recordings/drive drive.parquet --on Speed -s Pose --within 50ms",
+          "situ store save recordings/lobby camera.mp4 -s Camera",
           "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
         ],
         run: &save_file/2
@@ -125,6 +132,7 @@ defmodule Situ.CLI.Store.Export do
         )
 
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    {:ok, _} = Application.ensure_all_started(:situ_media)
     store = Recording.open!(path)
     infos = Arguments.select_streams!(store, opts)
     if file != "-", do: UnfinishedOutput.remove_file_at_exit(file)
@@ -203,6 +211,16 @@ defmodule Situ.CLI.Store.Export do
       opts,
       {read_options(opts), progress}
     )
+  end
+
+  defp write_format(:video, store, infos, file, opts, progress) do
+    reject_join!(opts)
+    [] = carried_options(:video, opts) ++ compression_option(:video, opts[:compression])
+    refuse_stdout!(file, :video)
+    info = single_stream!(store, infos)
+    copying = Keyword.take(opts, [:from, :to]) ++ [progress: &progress.(&1, info.count)]
+    copied = Situ.Media.copy_video(store, info.name, file, copying)
+    %{messages: Error.unwrap!(copied), stream: info.name}
   end
 
   defp write_format(format, store, infos, file, opts, progress) do

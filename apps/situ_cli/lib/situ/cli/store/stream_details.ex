@@ -36,7 +36,7 @@ defmodule Situ.CLI.Store.StreamDetails do
       {"created", format_interval(info.first_creation, info.last_creation)},
       {"size", size_text(store, info)},
       {"latency", total_latency(store, info)},
-      {"stored", storage_text(info)}
+      {"stored", storage_text(store, info)}
     ]
   end
 
@@ -96,10 +96,19 @@ defmodule Situ.CLI.Store.StreamDetails do
 
   defp nil_if_unknown(store, info, value), do: if(value_known?(store, info, value), do: value)
 
-  defp storage_text(info) do
+  defp storage_text(store, info) do
     lane = if info.large?, do: "each message separately", else: "in chunks"
     codecs = for {_, {name, _}} <- info.codecs, do: ", codec #{name}"
-    "#{lane}, compression #{info.compression}#{codecs}"
+    "#{lane}, compression #{info.compression}#{codecs}#{video_text(store, info)}"
+  end
+
+  defp video_text(store, %{codecs: codecs} = info) do
+    with true <- Enum.any?(codecs, &match?({_, {"situ.video_packet", _}}, &1)),
+         {:ok, [%{data: packet}]} <- Store.read(store, info, limit: 1, packets: true) do
+      ", #{packet.codec |> to_string() |> String.upcase()} video of #{packet.width}x#{packet.height}"
+    else
+      _ -> ""
+    end
   end
 
   @doc "Returns the properties of a stream for JSON output. Unknown values are `nil`."

@@ -15,6 +15,7 @@ defmodule Situ.Media.FFmpeg.Writer do
   @schema [
     streams: [type: {:list, :map}, required: true, doc: "See `Situ.Media.Nut.Muxer`."],
     args: [type: {:list, :string}, required: true, doc: "Output options, and the output."],
+    input_args: [type: {:list, :string}, default: [], doc: "Further input options."],
     name: [type: :string, required: true, doc: "Name of the output, for errors."],
     buffer: [
       type: {:optional, :pos_integer},
@@ -29,7 +30,7 @@ defmodule Situ.Media.FFmpeg.Writer do
     connect_timeout: [type: :pos_integer, default: 30_000, doc: "Maximum time to start, ms."]
   ]
 
-  defstruct [:port, :socket, :name, :failed, log: %Log{}]
+  defstruct [:port, :socket, :name, :failed, :status, log: %Log{}]
 
   @doc """
   Starts `ffmpeg` and the process that feeds it. The process is linked to the caller.
@@ -44,11 +45,33 @@ defmodule Situ.Media.FFmpeg.Writer do
     end
   end
 
-  @doc "Writes one frame of stream `id` at `time` ns (0 or more), and waits while `ffmpeg` is busy."
-  @spec write_frame(pid(), non_neg_integer(), non_neg_integer(), binary(), timeout()) ::
-          :ok | {:error, Error.t()}
-  def write_frame(writer, id, time, data, timeout \\ :infinity),
-    do: GenServer.call(writer, {:write, Muxer.encode_frame(id, time, data)}, timeout)
+  @doc """
+  Writes one frame of stream `id` at `time` ns (0 or more), and waits while `ffmpeg` is busy. A packet of a compressed
+  stream is given as `{bytes, key?}`.
+  """
+  @spec write_frame(
+          pid(),
+          non_neg_integer(),
+          non_neg_integer(),
+          binary() | {binary(), boolean()},
+          timeout()
+        ) :: :ok | {:error, Error.t()}
+  def write_frame(writer, id, time, frame, timeout \\ :infinity) do
+    {data, key?} = if is_binary(frame), do: {frame, true}, else: frame
+    GenServer.call(writer, {:write, Muxer.encode_frame(id, time, data, key?)}, timeout)
+  end
+
+  @doc "Returns the error of an `ffmpeg` that has ended."
+  @spec check_running(pid()) :: :ok | {:error, Error.t()}
+  def check_running(writer), do: GenServer.call(writer, :check, :infinity)
+
+  @doc "Ends the input, so that `ffmpeg` writes what remains."
+  @spec end_input(pid()) :: :ok | {:error, Error.t()}
+  def end_input(writer), do: GenServer.call(writer, :end_input, :infinity)
+
+  @doc "Waits until `ffmpeg`, whose output has ended, has ended too."
+  @spec await_end(pid()) :: :ok | {:error, Error.t()}
+  def await_end(writer), do: GenServer.call(writer, :await_end, :infinity)
 
   @doc "Ends the input, waits until `ffmpeg` has finished the output, and stops the writer."
   @spec finish_output(pid(), timeout()) :: :ok | {:error, Error.t()}
@@ -74,6 +97,8 @@ defmodule Situ.Media.FFmpeg.Writer do
   end
 
   @impl true
+  def handle_call(:await_end, _from, %{status: 0} = state), do: {:reply, :ok, state}
+
   def handle_call(_request, _from, %{failed: %Error{} = error} = state),
     do: {:reply, {:error, error}, state}
 
@@ -89,14 +114,19 @@ defmodule Situ.Media.FFmpeg.Writer do
     end
   end
 
+  def handle_call(:check, _from, state), do: {:reply, :ok, state}
+
+  def handle_call(:end_input, _from, state) do
+    _ = :gen_tcp.shutdown(state.socket, :write)
+    {:reply, :ok, state}
+  end
+
+  def handle_call(:await_end, _from, state), do: {:reply, finish_program(state), state}
+
   def handle_call({:finish, timeout}, _from, state) do
     # This flushes unsent frames before the socket closes.
     :ok = :gen_tcp.shutdown(state.socket, :write)
-
-    case exit_status(state, timeout) do
-      {0, state} -> {:reply, :ok, state}
-      {status, state} -> {:reply, {:error, write_error(state, status)}, state}
-    end
+    {:reply, finish_program(state, timeout), state}
   end
 
   @impl true
@@ -104,12 +134,16 @@ defmodule Situ.Media.FFmpeg.Writer do
     do: {:noreply, %{state | log: Log.add_line(state.log, line)}}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
-    do: {:noreply, mark_failed(state, status)}
+    do: {:noreply, mark_failed(%{state | status: status}, status)}
 
   defp connect_ffmpeg(state, socket, program, opts) do
     # The header describes the input completely, so ffmpeg does not have to probe it, which would cause a delay.
     input = ~w(-copyts -probesize 32 -analyzeduration 0 -fpsprobesize 0 -f nut -i)
-    args = FFmpeg.global_options() ++ input ++ [Socket.ffmpeg_url(socket) | opts[:args]]
+
+    args =
+      FFmpeg.global_options() ++
+        opts[:input_args] ++ input ++ [Socket.ffmpeg_url(socket) | opts[:args]]
+
     port = FFmpeg.start_program(program, args, bound: opts[:bound])
     drain = fn log -> Log.take_lines(log, port) end
     {result, log} = Socket.accept_ffmpeg(socket, port, opts[:connect_timeout], %Log{}, drain)
@@ -120,6 +154,13 @@ defmodule Situ.Media.FFmpeg.Writer do
       %{state | socket: accepted}
     else
       {:error, reason} -> mark_failed(state, reason)
+    end
+  end
+
+  defp finish_program(state, timeout \\ 5_000) do
+    case exit_status(state, timeout) do
+      {0, _state} -> :ok
+      {status, state} -> {:error, write_error(state, status)}
     end
   end
 

@@ -28,6 +28,7 @@ defmodule Situ.Media.Nut.Demuxer do
           stream: non_neg_integer(),
           time: integer(),
           ticks: integer(),
+          key?: boolean(),
           data: binary()
         }
   @opaque t :: %__MODULE__{}
@@ -208,6 +209,7 @@ defmodule Situ.Media.Nut.Demuxer do
         stream: stream.id,
         time: Nut.to_ns(pts, stream.time_base),
         ticks: pts,
+        key?: flag_set?(flags, :key),
         data: prepend_elision(prefix, data)
       }
 

@@ -3,7 +3,7 @@ defmodule Situ.Media.Nut.Muxer do
   # Writes a NUT stream: call `encode_header/1` once, then `encode_frame/3` for each image or
   # audio buffer. Both return iodata in which the payload is not copied.
   #
-  # All times are nanoseconds and must not be negative.
+  # All times are nanoseconds and must not be negative. The field `setup` of a stream holds the parameters of its codec.
   alias Situ.Media.Nut
 
   # Headers state the maximum distance of a frame from a syncpoint, and frames larger than twice this distance need a
@@ -11,8 +11,10 @@ defmodule Situ.Media.Nut.Muxer do
   @max_distance 65_535
   @shift 7
   @key 1
-  @frame_flags Enum.sum([@key, _coded_pts = 8, _stream_id = 16, _size_msb = 32, _checksum = 64])
-  @frame_code 1
+  @frame_flags Enum.sum([_coded_pts = 8, _stream_id = 16, _size_msb = 32, _checksum = 64])
+  # The first byte of a key frame, and of other frames.
+  @key_code 1
+  @other_code 2
 
   @type stream ::
           %{
@@ -52,13 +54,13 @@ defmodule Situ.Media.Nut.Muxer do
     ]
   end
 
-  @doc "Encodes one frame of stream `id` at `time` (nanoseconds, 0 or more)."
-  @spec encode_frame(non_neg_integer(), non_neg_integer(), binary()) :: iodata()
-  def encode_frame(id, time, data) when is_integer(time) and time >= 0 do
+  @doc "Encodes one frame of stream `id` at `time` (nanoseconds, 0 or more). A raw image is a key frame."
+  @spec encode_frame(non_neg_integer(), non_neg_integer(), binary(), boolean()) :: iodata()
+  def encode_frame(id, time, data, key? \\ true) when is_integer(time) and time >= 0 do
     # An offset of 2^shift distinguishes a complete time from its low bits.
     head =
       IO.iodata_to_binary([
-        @frame_code,
+        if(key?, do: @key_code, else: @other_code),
         encode_varint(id),
         encode_varint(time + Bitwise.bsl(1, @shift)),
         encode_varint(byte_size(data))
@@ -81,7 +83,7 @@ defmodule Situ.Media.Nut.Muxer do
       encode_varint(@max_distance),
       # All streams share one time base: nanoseconds.
       [encode_varint(1), encode_varint(1), encode_varint(1_000_000_000)],
-      # Frame code 0 is invalid; codes 1 to 255 define one kind of frame with all fields written out.
+      # Frame code 0 is invalid. Code 1 is a key frame and codes 2 to 255 are others, with all fields written out.
       [
         encode_varint(8192),
         encode_varint(6),
@@ -92,21 +94,16 @@ defmodule Situ.Media.Nut.Muxer do
         encode_varint(0),
         encode_varint(1)
       ],
-      [
-        encode_varint(@frame_flags),
-        encode_varint(6),
-        encode_varint(0),
-        encode_varint(1),
-        encode_varint(0),
-        encode_varint(0),
-        encode_varint(0),
-        encode_varint(254)
-      ],
+      frame_codes(@frame_flags + @key, 1),
+      frame_codes(@frame_flags, 253),
       # No elided headers.
       encode_varint(0),
       encode_varint(0)
     ]
   end
+
+  defp frame_codes(flags, count),
+    do: Enum.map([flags, 6, 0, 1, 0, 0, 0, count], &encode_varint/1)
 
   defp stream_header(%{class: class, id: id, fourcc: fourcc} = stream) do
     [
@@ -123,11 +120,13 @@ defmodule Situ.Media.Nut.Muxer do
         encode_varint(1_000_000_000),
         encode_varint(0),
         encode_varint(0),
-        encode_varint(0)
+        encode_setup(stream[:setup] || "")
       ],
       stream_shape(stream)
     ]
   end
+
+  defp encode_setup(setup), do: [encode_varint(byte_size(setup)), setup]
 
   defp stream_shape(%{class: :video} = s),
     do: [

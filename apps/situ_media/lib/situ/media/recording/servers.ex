@@ -17,7 +17,7 @@ defmodule Situ.Media.Recording.Servers do
   end
 
   @doc "Sends a request to the process of `module` that reads this recording, and starts it if necessary."
-  @spec call_server(module(), Situ.Media.Recording.OpenFile.t(), term()) :: term()
+  @spec call_server(module(), map(), term()) :: term()
   def call_server(module, recording, question, tries \\ 3) do
     with {:ok, pid} <- find_or_start(module, recording) do
       try do

@@ -2,7 +2,7 @@ defmodule Situ.Store.Copying.Passes do
   @moduledoc false
   # Writes the streams of a copy, in as few passes over the originals as their readers allow.
   alias Situ.Error
-  alias Situ.Store.{Query, StreamInfo, Transfer, Writer}
+  alias Situ.Store.{Query, StreamInfo, Transfer, VideoCoder, Writer}
 
   @earliest -0x8000000000000000
   @latest 0x7FFFFFFFFFFFFFFF
@@ -85,7 +85,12 @@ defmodule Situ.Store.Copying.Passes do
   end
 
   defp seek_first(_store, _info, nil), do: {:ok, 0}
-  defp seek_first(store, info, from), do: Query.seek_ordinal(store, info, from)
+
+  # A copy of a video begins with a key frame, because the images after it cannot be decoded without it.
+  defp seek_first(store, info, from) do
+    with {:ok, ordinal} <- Query.seek_ordinal(store, info, from),
+         do: {:ok, VideoCoder.find_key(store, info, ordinal)}
+  end
 
   defp clamp(time), do: time |> max(@earliest) |> min(@latest)
 

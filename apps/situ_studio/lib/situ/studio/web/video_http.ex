@@ -16,10 +16,16 @@ defmodule Situ.Studio.Web.VideoHttp do
     end
   end
 
-  defp build_response(:index, source, stream, _query) do
-    case CodedStreams.fetch(source, stream) do
+  defp build_response(:index, source, stream, query) do
+    found =
+      if query["small"],
+        do: CodedStreams.fetch_small(source, stream),
+        else: CodedStreams.fetch(source, stream)
+
+    case found do
       {:ok, video} -> Response.json(CodedStreams.to_map(video))
       :none -> Response.json(%{"codec" => nil})
+      :pending -> Response.json(%{"codec" => nil, "pending" => true})
       {:error, error} -> Response.json(%{"codec" => nil, "problem" => describe_error(error)})
     end
   end
@@ -27,9 +33,14 @@ defmodule Situ.Studio.Web.VideoHttp do
   defp build_response(:packets, source, stream, query) do
     with {:ok, first} when first >= 0 <- Int64.parse(query["first"]),
          {:ok, count} when count in 1..100_000 <- Int64.parse(query["count"]) do
-      case CodedStreams.read_packets(source, stream, first, count) do
+      read =
+        if query["small"],
+          do: &CodedStreams.read_small_packets/4,
+          else: &CodedStreams.read_packets/4
+
+      case read.(source, stream, first, count) do
         {:ok, packets} -> Response.binary(packets, [{"cache-control", "no-store"}])
-        :none -> bad_request()
+        none when none in [:none, :pending] -> bad_request()
         {:error, error} -> Response.error(422, describe_error(error))
       end
     else
