@@ -106,7 +106,7 @@ test("a recording that is deleted while open: the page reports it, and the rest 
 
 test("a server that restarts: the page reports its absence, and is restored afterwards", async ({ page, shot }) => {
   await open(page, site.mortal, "minute.0000");
-  await page.click(".row-box [title='Remove'] >> nth=0");
+  await page.click(".panel-box [title='Remove'] >> nth=0");
   await until(page, () => document.getElementById("studio").dataset.edit !== "", "the layout has changed");
   await dispatch(page, { type: "select", from: 12 * S, to: 18 * S });
   await dispatch(page, { type: "nudge", by: 15 * S });

@@ -134,9 +134,9 @@ test("2 the page: two hundred streams are searched and navigated with keys", asy
   await until(page, () => document.activeElement?.id === "node-Robot1", "the focus moves into the tree");
   await page.keyboard.press("ArrowDown");
   await page.keyboard.press("ArrowDown");
-  const panels = await page.$$eval(".row-box", (r) => r.length);
+  const panels = await page.$$eval(".panel-box", (r) => r.length);
   await page.keyboard.press("Enter");
-  await until(page, (n) => document.querySelectorAll(".row-box").length === n + 1, "the stream is shown", panels);
+  await until(page, (n) => document.querySelectorAll(".panel-box").length === n + 1, "the stream is shown", panels);
   await shot("many");
   await page.focus("#search");
   await page.keyboard.press("Escape");

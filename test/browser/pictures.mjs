@@ -32,6 +32,36 @@ const PICTURES = {
     await recording(page);
     await look(page, [3.5, 9.5], [4.9, 6.9], 5.35);
   },
+  split: async (page) => {
+    await open(page, main, "minute.0000");
+    for (const [id, side, target] of [
+      ["p2", "tab", "p1"],
+      ["p5", "right", "p6"],
+    ]) {
+      await page.evaluate((place) => window.situStudio.options.push("place_panel", place), { id, side, target });
+      await until(page, (i) => document.querySelector(`#panel-${i}`), "the panel is there", id);
+    }
+    await page.click("#tab-p1");
+    await look(page, [0, 60], null, 21.5);
+    await page.waitForTimeout(1000);
+  },
+  bookmarks: async (page) => {
+    await open(page, main, "minute.0000");
+    for (const [at, text] of [
+      [8.5, "Ada begins to speak #turns"],
+      [21.5, "The robot turns too early"],
+      [42, "Ada begins again #turns"],
+    ]) {
+      await dispatch(page, { type: "nudge", by: at * S - (await state(page)).cursor });
+      await page.keyboard.press("B");
+      await answer(page, text);
+      await page.waitForTimeout(500);
+    }
+    await page.keyboard.press("M");
+    await until(page, () => document.querySelectorAll(".bookmark-items li").length === 3, "the bookmarks");
+    await page.keyboard.press("J");
+    await settled(page);
+  },
   values: async (page) => {
     await recording(page);
     await look(page, [0, 14], null, 5.35);

@@ -12,6 +12,7 @@ import "./live_tests.mjs";
 import "./together_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
+import "./bookmark_tests.mjs";
 import "./annotation_tests.mjs";
 import "./tier_tests.mjs";
 import "./session_tests.mjs";

@@ -28,6 +28,8 @@ const space = {
 };
 // The code that decodes compressed video is loaded with the first such stream.
 const video = { ...space, entryPoints: [{ in: "js/video/index.js", out: "video" }] };
+// The graph of a pipeline and its layout are loaded by the page that shows it.
+const graph = { ...space, entryPoints: [{ in: "js/pipeline/graph.js", out: "graph" }] };
 // The worker that computes spectra in its own thread.
 const worker = {
   ...options,
@@ -46,15 +48,16 @@ const sensor = {
 for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
 
 if (process.argv.includes("--watch")) {
-  for (const o of [options, space, video, worker, sensor]) await (await esbuild.context(o)).watch();
+  for (const o of [options, space, video, graph, worker, sensor]) await (await esbuild.context(o)).watch();
 } else {
-  await Promise.all([options, space, video, worker, sensor].map((o) => esbuild.build(o)));
+  await Promise.all([options, space, video, graph, worker, sensor].map((o) => esbuild.build(o)));
   for (const f of [
     "studio.js",
     "studio.css",
     "theme.js",
     "space.js",
     "video.js",
+    "graph.js",
     "spectrogram-worker.js",
     "sensor.js",
     "sensor-worklet.js",

@@ -20,7 +20,7 @@
 })();
 
 // Restores the column widths that the user chose.
-["--left", "--right", "--side"].forEach(function (name) {
+["--left", "--right"].forEach(function (name) {
   try {
     const px = localStorage.getItem("situ:" + name);
     if (px) document.documentElement.style.setProperty(name, px + "px");

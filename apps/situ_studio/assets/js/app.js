@@ -12,6 +12,7 @@ import { copyBoundaries } from "./annotation/menu.js";
 import { rememberAnnotator } from "./annotation/annotator.js";
 import { Compare } from "./page/compare.js";
 import { Palette } from "./page/palette.js";
+import { pushEvent } from "./page/channel.js";
 import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
 import { seriesColor } from "./page/theme.js";
@@ -69,9 +70,7 @@ const hooks = {
   Studio: {
     mounted() {
       const app = ensureStudio();
-      // changes that are made while the server is unreachable are lost, so a message is shown
-      app.options.push = (event, payload) =>
-        this.pushEvent(event, payload)?.catch?.(() => showToast("The server is not responding: nothing was changed"));
+      app.options.push = pushEvent;
       rememberPage();
       showHintsOnce();
       // asks before leaving a named layout with unsaved changes, if the settings say so

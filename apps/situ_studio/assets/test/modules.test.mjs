@@ -10,7 +10,13 @@ const MOST_LINES = 300;
 
 async function readImports() {
   const { metafile } = await build({
-    entryPoints: ["js/app.js", "js/space/index.js", "js/sensor/index.js", "js/headset/index.js"],
+    entryPoints: [
+      "js/app.js",
+      "js/space/index.js",
+      "js/pipeline/graph.js",
+      "js/sensor/index.js",
+      "js/headset/index.js",
+    ],
     outdir: "out",
     absWorkingDir: folder,
     alias: { situ_live: fileURLToPath(new URL("../../../situ_live/assets/js/situ_live.js", import.meta.url)) },

@@ -24,7 +24,7 @@ defmodule Situ.Examples.SceneTest do
       |> File.read!()
       |> Layout.Json.parse_json()
 
-    drawn = for panel <- layout.rows, vis <- panel.vis, do: vis.stream
+    drawn = for panel <- layout.panels, vis <- panel.vis, do: vis.stream
     assert Enum.uniq(drawn) -- names == []
 
     clouds = store |> Store.messages("Room.Cloud") |> Enum.to_list()

@@ -1,6 +1,8 @@
 // The commands of the toolbar, keys and palette, except those of time (`keys.js` lists them). Each takes the studio.
 
 import { readAnnotator } from "../annotation/annotator.js";
+import { bookmarkCommands } from "./bookmarks.js";
+import { panelCommands } from "./panel_commands.js";
 import { askText } from "./questions.js";
 import { stepSession } from "./sessions.js";
 import { openGoto, openHelp, sessionTitle } from "./dialogs.js";
@@ -9,6 +11,9 @@ import { formatIso } from "../time/text.js";
 import { copyText, showToast } from "./toast.js";
 
 export const commands = {
+  ...bookmarkCommands,
+  ...panelCommands,
+
   theme: () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light"),
   timing: (app) => app.header.nextTiming(),
   goto: openGoto,
@@ -60,15 +65,6 @@ export const commands = {
   beside: (app) => app.options.push?.("beside", {}),
   nextChange: (app) => stepToChange(app, 1),
   previousChange: (app) => stepToChange(app, -1),
-
-  maximise(app) {
-    const panel =
-      app.root.querySelector(".maxed[data-panel]") ??
-      app.root.querySelector("[data-panel].selected") ??
-      hoveredPanel(app);
-    if (panel) app.options.push?.("maximise", { id: panel.dataset.panel });
-    else showToast("Select a panel or point at one to maximize it");
-  },
 
   restore: (app) => app.root.querySelector(".stack.max") && app.options.push?.("restore", {}),
 

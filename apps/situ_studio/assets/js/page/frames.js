@@ -17,7 +17,7 @@ export class Frames {
     this.views.add(view);
     view.timeline = timeline;
     if (timeline) {
-      const overlay = new Overlay(view.el);
+      const overlay = new Overlay(view.el, view.app);
       this.overlays.set(view, overlay);
       overlay.update(this.time.get());
     }

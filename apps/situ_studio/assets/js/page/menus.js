@@ -1,8 +1,9 @@
 // Builds the entries of the context menus: of a stream, a panel, a legend entry, a time, a recording.
 
 import { GUTTER } from "./theme.js";
-import { copyText, showToast } from "./toast.js";
+import { copyText } from "./toast.js";
 import { canDrawVector, saveImage, saveVector } from "./image_file.js";
+import { measureSelection } from "./panel_commands.js";
 import { groupItems, streamItems } from "./stream_menu.js";
 import { annotationItems } from "../annotation/menu.js";
 
@@ -54,10 +55,8 @@ function panelItems(app, panel, legend, event) {
       {
         text: "Statistics of selection",
         disabled: sel[0] == null || sel[1] == null,
-        run: () => {
-          app.counting = setTimeout(() => showToast("Reading all messages of the selection …"), 600);
-          pushEvent("statistics", { from: app.client.toAbsolute(sel[0]), to: app.client.toAbsolute(sel[1]) });
-        },
+        hint: "i",
+        run: () => measureSelection(app, panel),
       },
       ...downloadItems(app, body, vis),
       ...alignItems(app, body, event),
@@ -72,8 +71,10 @@ function panelItems(app, panel, legend, event) {
     ...(vis.length > 1 ? [{ text: "Hide all", run: () => pushEvent("show_vis", { all: "false" }) }] : []),
     ...holdItems(panel, vis, pushEvent),
     { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => pushEvent("maximise") },
-    { text: "Move up", run: () => pushEvent("shift_panel", { way: "up" }) },
-    { text: "Move down", run: () => pushEvent("shift_panel", { way: "down" }) },
+    ...["up", "down", "left", "right"].map((way) => ({
+      text: `Move ${way}`,
+      run: () => pushEvent("shift_panel", { way }),
+    })),
     "-",
     ...(vis.some((v) => v.draw === "image")
       ? [{ text: `Video of the ${selectedPart(app)[2]} (MP4)`, run: () => startVideo(app, pushEvent) }]

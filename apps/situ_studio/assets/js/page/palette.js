@@ -1,6 +1,7 @@
 // A list of commands and streams, searched by typing parts of their names.
 
 import { listKeys } from "./keys.js";
+import { placeEntries } from "./panel_commands.js";
 import { closestTarget, findElement, getElement } from "./dom.js";
 
 export class Palette {
@@ -45,6 +46,7 @@ export class Palette {
       { text: "Copy view-only link", hint: "", run: () => this.app.runAction("copyViewerLink") },
       { text: "Copy cursor time in ns", hint: "", run: () => this.app.runAction("copyNs") },
       { text: "Copy session and cursor time", hint: "", run: () => this.app.runAction("copyPlace") },
+      ...placeEntries(this.app),
       ...streams.map((stream) => ({
         text: stream,
         hint: "add stream",

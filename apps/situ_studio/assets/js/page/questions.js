@@ -7,6 +7,7 @@ let count = 0;
 
 // Asks for a text: {title, value?, type?, choices? (suggestions), actions? [[name, text]]} -> {action, text} or
 // null.
+/** @param {{title: string, value?: string, type?: string, choices?: string[], actions?: string[][]}} question */
 export function askText({ title, value = "", type = "text", choices = [], actions = [["ok", "OK"]] }) {
   const dialog = openDialog(title);
   const form = dialog.appendChild(document.createElement("form"));

@@ -4,6 +4,10 @@ import { formatNumber } from "./number_text.js";
 import { formatDuration } from "../time/text.js";
 
 const TITLES = {
+  at_start: "at the start",
+  at_end: "at the end",
+  change: "change",
+  slope_per_s: "change per second",
   n: "messages",
   rate_hz: "rate",
   period_ns: "typical pause",
@@ -28,7 +32,7 @@ const formatStatistic = (name, v) =>
 
 // Values of messages are shown in full, computed values with ten digits.
 const formatPlain = (name, v) =>
-  !Number.isFinite(v) || name === "mean" || name === "std" ? formatNumber(v, 10) : String(v);
+  !Number.isFinite(v) || ["mean", "sd", "change", "slope_per_s"].includes(name) ? formatNumber(v, 10) : String(v);
 
 // rows: [{name, all, values: [[name, value], ...], error?}]
 export function showStatistics(rows, length) {

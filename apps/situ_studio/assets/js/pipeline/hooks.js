@@ -1,7 +1,12 @@
 // The hooks of the pipeline's page.
 import { setTheme } from "../page/theme.js";
-import { PipelineGraph as Graph } from "./graph.js";
+import { scriptAddress } from "../page/dom.js";
+import { showToast } from "../page/toast.js";
 import { HistoryPlot } from "./plot.js";
+
+const HERE = scriptAddress() ?? location.href;
+/** @returns {Promise<typeof import("./graph.js")>} */
+const loadGraph = () => import(new URL("graph.js", HERE).href);
 
 // Plots are added and removed with the selection; their data belong to the page.
 /** @type {{key: string | null, stats: string[], rows: (number | null)[][]}} */
@@ -15,6 +20,12 @@ const statColumn = (stat) => {
 export const hooks = {
   PipelineGraph: {
     mounted() {
+      loadGraph().then(
+        ({ PipelineGraph: Graph }) => this.left || this.openGraph(Graph),
+        (error) => showToast(`The graph could not be loaded: ${error.message}`),
+      );
+    },
+    openGraph(Graph) {
       this.graph = new Graph(this.el, {
         onPick: (key) => this.pickNode(key),
         onFold: (path) => this.pushEvent("fold", { path }),
@@ -61,9 +72,11 @@ export const hooks = {
       if (key || this.selected) this.pushEvent("pick", { key: key ?? this.selected });
     },
     reconnected() {
-      this.pushEvent("ready", {});
+      if (this.graph) this.pushEvent("ready", {});
     },
     destroyed() {
+      this.left = true;
+      if (!this.graph) return;
       document.removeEventListener("click", this.onClick);
       document.removeEventListener("keydown", this.onKey);
       this.graph.destroy();

@@ -1,6 +1,7 @@
 // The time navigator: the whole recording with a thumb for the current view, and a ruler of the view.
 
 import { GUTTER, FONT, readableColor, themeColors } from "../page/theme.js";
+import { listBookmarks } from "../page/bookmarks.js";
 import { formatDuration } from "./text.js";
 import { rulerTicks, formatClock } from "./clock.js";
 
@@ -138,6 +139,9 @@ export class Navigator {
       ctx.fillRect(px, top + BAR - 4, 1, 4);
       ctx.fillText(formatClock(t, this.app.client.origin, over.unit), px + 4, top + BAR / 2 + 1);
     }
+    ctx.fillStyle = c.accent;
+    for (const b of listBookmarks(this.app))
+      ctx.fillRect(x(b.from) - 1, top + BAR - 7, Math.max(x(b.to) - x(b.from), 3), 7);
     ctx.fillStyle = c.cursor;
     ctx.fillRect(x(s.cursor) - 0.5, top - 1, 1.5, BAR + 2);
     ctx.fillStyle = c.dim;

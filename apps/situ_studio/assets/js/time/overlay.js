@@ -2,9 +2,10 @@
 // needed.
 
 import { GUTTER } from "../page/theme.js";
+import { OwnRuler } from "./own_ruler.js";
 
 export class Overlay {
-  constructor(el) {
+  constructor(el, app) {
     this.el = el;
     this.box = el.appendChild(document.createElement("div"));
     this.box.className = "overlay";
@@ -13,11 +14,14 @@ export class Overlay {
     this.start = addMark("sel-line start");
     this.end = addMark("sel-line end");
     this.cursor = addMark("cursor-line");
+    this.ruler = app && new OwnRuler(this.box, app);
   }
 
   update(s) {
-    const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
+    const width = this.el.clientWidth;
+    const inner = width - GUTTER.left - GUTTER.right;
     if (inner <= 0) return;
+    this.ruler?.update(s.view, inner, width);
     const k = inner / (s.view[1] - s.view[0]);
     const timeToX = (t) => (t - s.view[0]) * k;
     placeLine(this.cursor, timeToX(s.cursor), inner);

@@ -1,4 +1,4 @@
-// Shows any message as a tree that marks changes since the previous message and can plot its numbers. Nodes are
+// Shows any message as a tree that marks the differences to the message before it and can plot its numbers. Nodes are
 // [kind, text, children] and children [key, node, path]; texts are only set as textContent.
 
 import { KIND } from "../data/frames.js";
@@ -33,8 +33,6 @@ export class ValuePanel {
     this.app.client.closeChannel(this.channel);
     this.channel = null;
     this.value = null;
-    /** @type {Map<string, string>} the texts of the previous message by path */
-    this.previous = new Map();
     if (!vis) return;
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
     this.channel = this.app.client.openChannel(spec, (f) => this.acceptFrame(f), { instant: true });
@@ -51,15 +49,20 @@ export class ValuePanel {
     if (!v) {
       this.head.textContent = this.message ?? "";
       this.body.textContent = "";
-      this.previous = new Map();
       return;
     }
     const origin = this.app.client.origin ?? 0n;
     const rel = Number(BigInt(v.time) - origin);
     const at = formatClock(rel, this.app.client.origin);
-    this.head.textContent = `#${v.sequence}   ${at}   latency ${formatLatency(v.latency)}   ${v.type}`;
+    const changes = v.was ? Object.keys(v.was).length + v.gone.length : 0;
+    const different = v.was
+      ? `   ${changes || "no"} difference${changes === 1 ? "" : "s"} to the message before`
+      : "";
+    this.head.textContent = `#${v.sequence}   ${at}   latency ${formatLatency(v.latency)}   ${v.type}${different}`;
     const lines = [];
     this.collectLines(v.tree, "value", "", 0, lines);
+    for (const [path, text] of v.gone ?? [])
+      lines.push({ kind: "gone", text: "", key: path, path: null, depth: 1, parent: false, was: text });
     this.showLines(lines);
   }
 
@@ -73,12 +76,10 @@ export class ValuePanel {
   showLines(lines) {
     const body = this.body;
     while (body.children.length > lines.length) body.lastChild.remove();
-    const seen = new Map();
+    const was = this.value.was ?? {};
     lines.forEach((l, i) => {
       let row = body.children[i];
       if (!row) row = body.appendChild(makeRow());
-      const id = l.path || "/";
-      seen.set(id, l.text);
       row.dataset.path = l.path ?? "";
       row.dataset.kind = l.kind;
       row.style.paddingLeft = `${8 + l.depth * 14}px`;
@@ -86,14 +87,16 @@ export class ValuePanel {
       row.children[1].textContent = l.key;
       if (row.children[2].textContent !== l.text) row.children[2].textContent = l.text;
       row.children[2].className = `v ${l.kind}`;
-      row.classList.toggle("changed", this.previous.has(id) && this.previous.get(id) !== l.text && !l.parent);
+      const changed = l.path !== null && !l.parent && Object.hasOwn(was, l.path);
+      row.classList.toggle("changed", changed);
+      row.classList.toggle("gone", l.kind === "gone");
+      row.children[3].textContent = l.kind === "gone" ? l.was : changed ? (was[l.path] ?? "new") : "";
       const plot = l.path !== null && ["number", "boolean", "atom", "string"].includes(l.kind);
       row.querySelector(".plot-path").hidden = !plot;
       row.querySelector(".copy-path").hidden = l.path == null;
       row.dataset.parent = l.parent ? "1" : "";
       row.setAttribute("aria-expanded", l.parent ? String(l.open) : "");
     });
-    this.previous = seen;
   }
 
   handleClick(e) {
@@ -145,7 +148,7 @@ function makeRow() {
   row.className = "row";
   row.setAttribute("role", "treeitem");
   row.tabIndex = -1;
-  for (const c of ["fold", "k", "v"]) row.appendChild(document.createElement("span")).className = c;
+  for (const c of ["fold", "k", "v", "was"]) row.appendChild(document.createElement("span")).className = c;
   const plot = row.appendChild(document.createElement("button"));
   plot.className = "plot-path";
   plot.textContent = "plot";

@@ -1,17 +1,21 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
-import { dropSide } from "../../js/page/drag.js";
+import { dropSide, rimSide } from "../../js/page/drag.js";
 
-const box = { left: 100, top: 50, width: 200, height: 100 };
+const box = { left: 100, top: 50, width: 200, height: 100, right: 300, bottom: 150 };
 
-test("a timeline is placed above or below its drop target", () => {
-  assert.equal(dropSide(box, 150, 60, false), "above");
-  assert.equal(dropSide(box, 290, 120, false), "below");
+test("a panel is placed at the side of the nearest edge, or as a tab in the middle", () => {
+  assert.equal(dropSide(box, 120, 100, "tab"), "left");
+  assert.equal(dropSide(box, 290, 100, "tab"), "right");
+  assert.equal(dropSide(box, 180, 55, "tab"), "above");
+  assert.equal(dropSide(box, 190, 145, "tab"), "below");
+  assert.equal(dropSide(box, 200, 100, "tab"), "tab");
 });
 
-test("a cell is placed on the nearer side of another, and outside of the row near its upper and lower edges", () => {
-  assert.equal(dropSide(box, 120, 100, true), "left");
-  assert.equal(dropSide(box, 290, 100, true), "right");
-  assert.equal(dropSide(box, 120, 55, true), "above");
-  assert.equal(dropSide(box, 290, 145, true), "below");
+test("a panel is placed at a side of all others at the edge of their area", () => {
+  assert.equal(rimSide(box, 103, 90), "left");
+  assert.equal(rimSide(box, 298, 90), "right");
+  assert.equal(rimSide(box, 200, 52), "above");
+  assert.equal(rimSide(box, 200, 145), "below");
+  assert.equal(rimSide(box, 200, 100), null);
 });

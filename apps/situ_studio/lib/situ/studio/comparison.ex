@@ -72,13 +72,16 @@ defmodule Situ.Studio.Comparison do
       iex> {:ok, layout, _} = Layout.add_stream(Layout.new(""), "Level", "line", :plot, "")
       iex> {:ok, layout, _} = Layout.add_stream(layout, "Image", "image", :image, "")
       iex> both = Comparison.add_compared_streams(layout, ["Level", "Image", "Compared.Level", "Compared.Image"])
-      iex> for p <- both.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
+      iex> for p <- both.panels, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:image, ["Image"]}, {:image, ["Compared.Image"]}, {:plot, ["Level", "Compared.Level"]}]
   """
   @spec add_compared_streams(Layout.t(), Enumerable.t()) :: Layout.t()
   def add_compared_streams(%Layout{} = layout, names) do
     shown =
-      for panel <- layout.rows, v <- panel.vis, into: MapSet.new(), do: {v.viz, v.stream, v.path}
+      for panel <- layout.panels,
+          v <- panel.vis,
+          into: MapSet.new(),
+          do: {v.viz, v.stream, v.path}
 
     names = MapSet.new(names)
 
@@ -88,23 +91,23 @@ defmodule Situ.Studio.Comparison do
 
     {panels, vis} = Layout.size_limits()
 
-    {rows, next} =
-      Enum.flat_map_reduce(layout.rows, layout.next, fn panel, next ->
-        case Enum.flat_map(panel.vis, twins) do
-          [] ->
-            {[panel], next}
+    Enum.reduce(layout.panels, layout, fn panel, layout ->
+      case Enum.flat_map(panel.vis, twins) do
+        [] ->
+          layout
 
-          # Each stream is followed by its counterpart.
-          _ when panel.panel in [:plot, :lanes] ->
-            both = Enum.flat_map(panel.vis, &[&1 | twins.(&1)])
-            {[%{panel | vis: Enum.take(both, vis)}], next}
+        # Each stream is followed by its counterpart.
+        _ when panel.panel in [:plot, :lanes] ->
+          both = Enum.flat_map(panel.vis, &[&1 | twins.(&1)])
+          Layout.update_panel(layout, panel.id, &%{&1 | vis: Enum.take(both, vis)})
 
-          seconds ->
-            {[panel, %{panel | id: "p#{next}", vis: seconds}], next + 1}
-        end
-      end)
+        seconds when length(layout.panels) < panels ->
+          Layout.add_beside(layout, %{panel | vis: seconds}, panel.id)
 
-    %{layout | rows: Enum.take(rows, panels), next: next}
+        _ ->
+          layout
+      end
+    end)
   end
 
   defp compared_visualizations(vis, names) do

@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Statistics do
   @moduledoc false
-  # Computes statistics of a stream's messages within an interval: count, rate, regularity, and
-  # the distribution of numeric values.
+  # Computes statistics of a stream's messages within an interval: count, rate, regularity, the distribution of numeric
+  # values, and the values at both ends with their slope.
   #
+  # The value at an end is the value of the latest message at or before it, as at the cursor.
   # A gap is a pause of more than three times the median pause. The standard deviation is the
   # sample standard deviation (n - 1); percentiles are values of messages (nearest rank).
   alias Situ.Studio.{ValuePath, StreamReader}
@@ -16,6 +17,7 @@ defmodule Situ.Studio.Statistics do
   @keys 8
   # The square of a larger number overflows a float.
   @large 1.0e150
+  @largest 1.7976931348623157e308
 
   @type row :: %{
           required(:name) => String.t(),
@@ -40,19 +42,51 @@ defmodule Situ.Studio.Statistics do
   def compute_rows(source, vis, from, to) do
     with {:ok, path} <- ValuePath.parse(vis.path),
          {:ok, pairs, all?} <- read_values(source, vis.stream, path, {from, to}) do
+      ends = for time <- [from, to], do: value_at(source, vis.stream, path, time)
+
       for {name, pairs} <- split_by_key(pairs) do
         numbers = collect_numbers(pairs)
+        values = statistic_pairs(pairs, numbers) ++ slope_pairs(ends, name, to - from)
 
         %{
           name: String.trim_trailing("#{vis.stream}#{vis.path}  #{name}"),
           all: all?,
-          values: for({name, value} <- statistic_pairs(pairs, numbers), do: [name, value]),
+          values: for({name, value} <- values, do: [name, value]),
           histogram: histogram(numbers)
         }
       end
     else
       {:error, error} -> [%{name: vis.stream, error: error.what, values: []}]
     end
+  end
+
+  defp value_at(source, stream, path, time) do
+    with {:ok, message} <- StreamReader.latest_at(source, stream, time),
+         [{_, value}] <- extract_values([message], path),
+         do: value,
+         else: (_ -> nil)
+  end
+
+  defp slope_pairs(ends, key_name, duration) do
+    case Enum.map(ends, &number_of_key(&1, key_name)) do
+      [first, last] when is_number(first) and is_number(last) and duration > 0 ->
+        [{"at_start", first}, {"at_end", last}] ++ change_pairs(first, last, duration)
+
+      _ ->
+        []
+    end
+  end
+
+  defp number_of_key(%{} = map, name),
+    do: Enum.find_value(map, fn {key, number} -> if Key.key_name(key) == name, do: number end)
+
+  defp number_of_key(number, _), do: number
+
+  # The difference of very large numbers is not a float.
+  defp change_pairs(first, last, duration) do
+    [{"change", last - first}, {"slope_per_s", (last - first) * 1.0e9 / duration}]
+  rescue
+    ArithmeticError -> []
   end
 
   # The maximum number of streams and rows for one panel.
@@ -237,7 +271,8 @@ defmodule Situ.Studio.Statistics do
     case Enum.reduce(values, 0.0, &max(abs(&1), &2)) do
       most when most > @large ->
         {mean, sd} = mean_and_sd(Enum.map(values, &(&1 / most)))
-        {mean * most, sd * most}
+        # The deviation of the largest numbers is larger than any float.
+        {mean * most, if(sd > @largest / most, do: @largest, else: sd * most)}
 
       _ ->
         n = length(values)

@@ -22,6 +22,37 @@ defmodule Situ.Studio.ValueTree do
   @spec build(term()) :: tree()
   def build(term), do: build_node(term, "", 0)
 
+  @doc """
+  Compares a tree with the tree of the message before: the texts of values that were different, by path, and the values
+  that are gone.
+
+      iex> alias Situ.Studio.ValueTree
+      iex> [before, now] = Enum.map([%{x: 1, on: true, n: 0}, %{x: 2, on: true, y: 3}], &ValueTree.build/1)
+      iex> ValueTree.list_changes(before, now)
+      %{"gone" => [[".n", "0"]], "was" => %{".x" => "1", ".y" => nil}}
+  """
+  @spec list_changes(tree(), tree()) :: map()
+  def list_changes(before, now) do
+    {before, now} = {leaf_texts(before), leaf_texts(now)}
+
+    %{
+      "was" =>
+        for({path, text} <- now, before[path] != text, into: %{}, do: {path, before[path]}),
+      "gone" =>
+        for({path, text} <- Enum.sort(before), not is_map_key(now, path), do: [path, text])
+    }
+  end
+
+  # Values whose key cannot be written in a path are not compared.
+  defp leaf_texts(tree), do: tree |> leaf_texts("", []) |> Map.new()
+
+  defp leaf_texts(_, nil, texts), do: texts
+  defp leaf_texts([_, text, nil], path, texts), do: [{path, text} | texts]
+
+  defp leaf_texts([_, _, children], _, texts) do
+    Enum.reduce(children, texts, fn [_, child, path], texts -> leaf_texts(child, path, texts) end)
+  end
+
   defp build_node(term, _path, _depth) when is_number(term),
     do: ["number", format_number(term), nil]
 

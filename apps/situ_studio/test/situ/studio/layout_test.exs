@@ -3,11 +3,12 @@ defmodule Situ.Studio.LayoutTest do
   use Situ.Test.Property
 
   alias Situ.Studio.{Layout, Layouts, Link, StreamInfo}
-  alias Situ.Studio.Layout.ImageLook
+  alias Situ.Studio.Layout.{ImageLook, Places, Sizes, Tree}
 
   doctest Situ.Studio.Link
 
-  @actions [:add, :remove, :resize, :move, :remove_vis, :threshold, :place, :shift]
+  @actions [:add, :remove, :resize, :remove_vis, :threshold, :place, :shift] ++
+             [:beside, :tab]
   @panels [:plot, :lanes, :image, :value, :bars]
 
   property "any edited layout is restored from its file and its link" do
@@ -16,13 +17,30 @@ defmodule Situ.Studio.LayoutTest do
 
       assert Layout.Json.parse_json(Layout.Json.to_json(layout)) == {:ok, renumber(layout)}
       assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
-      assert Enum.all?(Layout.panel_lines(layout), &(&1 != []))
-      # Every row occurs once, and contains either one timeline or cells.
-      names = for [p | _] <- Layout.panel_lines(layout), do: p.row || p.id
-      assert names == Enum.uniq(names)
-      assert Enum.all?(Layout.panel_lines(layout), &(length(&1) <= 5))
+      # Every panel has one place.
+      assert Enum.map(layout.panels, & &1.id) == Tree.panel_ids(layout.tree)
+      assert simplest?(layout.tree)
+      assert layout.tree == nil or layout.tree.size == nil
     end
   end
+
+  # Rows, columns and tabs have unique ids and at least two parts, which are not of the same kind.
+  defp simplest?(nil), do: true
+
+  defp simplest?(tree) do
+    splits = list_splits(tree)
+    ids = Enum.map(splits, & &1.id)
+
+    ids == Enum.uniq(ids) and
+      Enum.all?(splits, fn %{way: way, parts: parts} ->
+        length(parts) > 1 and Enum.all?(parts, &(&1.way != way)) and
+          (way != :tabs or Enum.all?(parts, &(&1.way == :panel)))
+      end)
+  end
+
+  defp list_splits(nil), do: []
+  defp list_splits(%Tree{way: :panel}), do: []
+  defp list_splits(tree), do: [tree | Enum.flat_map(tree.parts, &list_splits/1)]
 
   property "the file keeps the compared recording and its time offset" do
     forall {bytes, offset} <- {binary(), integer()} do
@@ -49,7 +67,7 @@ defmodule Situ.Studio.LayoutTest do
 
   # The next panel number is derived from the existing panels.
   defp renumber(layout) do
-    numbers = for %{id: "p" <> n} <- layout.rows, do: String.to_integer(n)
+    numbers = for %{id: "p" <> n} <- layout.panels, do: String.to_integer(n)
     %{layout | next: Enum.max(numbers, fn -> 0 end) + 1}
   end
 
@@ -68,19 +86,21 @@ defmodule Situ.Studio.LayoutTest do
     Layout.update_panel(layout, "p#{n}", &%{&1 | threshold: {side, n / 3}})
   end
 
-  defp edit({:resize, n, _}, layout), do: Layout.resize_row(layout, "p#{n}", n * 100 - 200)
+  defp edit({:resize, n, _}, layout) do
+    layout
+    |> Layout.resize_part("p#{n}", n * 100 - 200)
+    |> Layout.resize_part("s#{n}", n * 100 - 200)
+    |> Layout.resize_row("s#{n}", [n * 7.3, 20])
+  end
 
-  defp edit({:move, n, _}, layout),
-    do: Layout.move_row(layout, "p#{n}", if(rem(n, 2) == 0, do: 1, else: -1))
+  defp edit({:beside, _, _}, layout), do: Layout.toggle_side(layout)
+  defp edit({:tab, n, _}, layout), do: Layout.select_tab(layout, "p#{n}")
 
   defp edit({:place, n, panel}, layout) do
-    side = Enum.at([:above, :below, :left, :right], rem(n, 4))
-    target = if side in [:left, :right], do: "p#{rem(n * 5, 12) + 1}", else: row(layout, n * 7)
-
-    same_panels(
-      layout,
-      Layout.move_panel(layout, "p#{n}", {side, target || Atom.to_string(panel)})
-    )
+    side = Enum.at([:above, :below, :left, :right, :tab], rem(n, 5))
+    targets = ["all", "s1", "s#{n}", Atom.to_string(panel), "p#{rem(n * 5, 12) + 1}"]
+    target = Enum.at(targets, rem(n * 7 + byte_size(Atom.to_string(panel)), 5))
+    same_panels(layout, Layout.move_panel(layout, "p#{n}", {side, target}))
   end
 
   defp edit({:shift, n, _}, layout),
@@ -90,15 +110,9 @@ defmodule Situ.Studio.LayoutTest do
         Layout.shift_panel(layout, "p#{n}", Enum.at([:up, :down, :left, :right], rem(n, 4)))
       )
 
-  defp row(layout, n) do
-    lines = Layout.panel_lines(layout)
-    with [p | _] <- Enum.at(lines, rem(n, max(length(lines), 1))), do: p.row || p.id
-  end
-
   # Moving neither loses nor creates panels.
   defp same_panels(before, {:ok, layout}) do
-    strip = fn l -> l.rows |> Enum.map(&%{&1 | row: nil, height: nil}) |> Enum.sort() end
-    assert strip.(layout) == strip.(before)
+    assert Enum.sort(layout.panels) == Enum.sort(before.panels)
     layout
   end
 
@@ -119,7 +133,7 @@ defmodule Situ.Studio.LayoutTest do
              [
                {"a.json", "this file is not a layout: it is not JSON"},
                {"b.json",
-                "this file is not a layout: it has version 99, but this studio reads 1"},
+                "this file is not a layout: it has version 99, but this studio reads up to 2"},
                {"c.json", "this file is not a layout: two panels have the id p1"}
              ]
 
@@ -128,117 +142,150 @@ defmodule Situ.Studio.LayoutTest do
   end
 
   describe "moving panels" do
-    # The layout is r1: A B | r2: C | plots P, Q.
+    # The layout is a row of A, B and C above the plots P and Q.
     setup do
-      add = fn layout, stream, panel, row ->
-        {:ok, layout, _} = Layout.add_stream(layout, stream, "x", panel, "", row: row)
-        layout
-      end
+      streams = [{"A", :value}, {"B", :value}, {"C", :value}, {"P", :plot}, {"Q", :lanes}]
 
       layout =
-        Layout.new("")
-        |> add.("A", :value, "r1")
-        |> add.("B", :value, "r1")
-        |> add.("C", :value, "r2")
-        |> add.("P", :plot, nil)
-        |> add.("Q", :lanes, nil)
+        Enum.reduce(streams, Layout.new(""), fn {stream, panel}, layout ->
+          {:ok, layout, _} = Layout.add_stream(layout, stream, "x", panel, "")
+          layout
+        end)
 
       {:ok, layout: layout}
     end
 
+    defp id(layout, stream), do: Enum.find(layout.panels, &(hd(&1.vis).stream == stream)).id
+
     defp streams({:ok, layout}), do: streams(layout)
+    defp streams(layout), do: named(Tree.to_list(layout.tree), layout)
 
-    defp streams(l),
-      do: for(line <- Layout.panel_lines(l), do: Enum.map(line, &hd(&1.vis).stream))
+    defp named("p" <> _ = id, layout), do: hd(Layout.find_panel(layout, id).vis).stream
+    defp named([way | parts], layout), do: [way | Enum.map(parts, &named(&1, layout))]
 
-    defp id(layout, stream), do: Enum.find(layout.rows, &(hd(&1.vis).stream == stream)).id
+    defp move(layout, stream, side, "all"),
+      do: Layout.move_panel(layout, id(layout, stream), {side, "all"})
 
-    test "puts a timeline above or below any row", %{layout: l} do
-      assert streams(Layout.move_panel(l, id(l, "Q"), {:above, "r1"})) == [
-               ["Q"],
-               ["A", "B"],
-               ["C"],
-               ["P"]
+    defp move(layout, stream, side, target),
+      do: Layout.move_panel(layout, id(layout, stream), {side, id(layout, target)})
+
+    test "splits any panel in both directions", %{layout: l} do
+      assert streams(l) == [:column, [:row, "A", "B", "C"], "P", "Q"]
+
+      assert streams(move(l, "Q", :left, "P")) == [
+               :column,
+               [:row, "A", "B", "C"],
+               [:row, "Q", "P"]
              ]
 
-      assert streams(Layout.move_panel(l, id(l, "P"), {:below, id(l, "Q")})) == [
-               ["A", "B"],
-               ["C"],
-               ["Q"],
-               ["P"]
+      assert streams(move(l, "A", :below, "C")) ==
+               [:column, [:row, "B", [:column, "C", "A"]], "P", "Q"]
+
+      assert streams(move(l, "A", :left, "all")) == [
+               :row,
+               "A",
+               [:column, [:row, "B", "C"], "P", "Q"]
              ]
+
+      assert streams(move(l, "A", :below, "P")) == [:column, [:row, "B", "C"], "P", "A", "Q"]
     end
 
-    test "does not put a timeline next to another panel", %{layout: l} do
-      assert Layout.move_panel(l, id(l, "P"), {:left, id(l, "A")}) == {:ok, l}
-      assert Layout.move_panel(l, id(l, "A"), {:left, id(l, "P")}) == {:ok, l}
+    test "puts panels in tabs, and takes them out again", %{layout: l} do
+      {:ok, l} = move(l, "B", :tab, "A")
+      assert streams(l) == [:column, [:row, [:tabs, "A", "B"], "C"], "P", "Q"]
+
+      assert [%Tree{way: :tabs, active: active}] =
+               for({t, _} <- Tree.ancestors(l.tree, id(l, "A")), t.way == :tabs, do: t)
+
+      assert active == id(l, "B")
+      {:ok, three} = move(l, "P", :tab, "B")
+      assert streams(three) == [:column, [:row, [:tabs, "A", "B", "P"], "C"], "Q"]
+
+      # A side of a tab is a side of all tabs.
+      assert streams(move(three, "C", :above, "A")) == [:column, "C", [:tabs, "A", "B", "P"], "Q"]
+
+      assert streams(move(l, "A", :right, "P")) == [
+               :column,
+               [:row, "B", "C"],
+               [:row, "P", "A"],
+               "Q"
+             ]
+
+      assert streams(Layout.remove_panel(l, id(l, "B"))) == [:column, [:row, "A", "C"], "P", "Q"]
     end
 
-    test "puts a cell next to another one, at the height of its row", %{layout: l} do
-      l = Layout.resize_row(l, "r1", 500)
-      {:ok, moved} = Layout.move_panel(l, id(l, "C"), {:right, id(l, "A")})
-      assert streams(moved) == [["A", "C", "B"], ["P"], ["Q"]]
-      assert Layout.find_panel(moved, id(l, "C")).height == 500
-    end
+    test "moves a panel by keys: past its neighbor, out of its row, and to the side of all", %{
+      layout: l
+    } do
+      shift = &streams(Layout.shift_panel(&1, id(&1, &2), &3))
+      assert shift.(l, "A", :right) == [:column, [:row, "B", "A", "C"], "P", "Q"]
+      assert shift.(l, "B", :up) == [:column, "B", [:row, "A", "C"], "P", "Q"]
+      assert shift.(l, "B", :down) == [:column, [:row, "A", "C"], "B", "P", "Q"]
+      assert shift.(l, "P", :up) == [:column, "P", [:row, "A", "B", "C"], "Q"]
+      assert shift.(l, "P", :left) == [:row, "P", [:column, [:row, "A", "B", "C"], "Q"]]
+      assert shift.(l, "C", :right) == [:row, [:column, [:row, "A", "B"], "P", "Q"], "C"]
 
-    test "puts a cell into its own row", %{layout: l} do
-      {:ok, moved} = Layout.move_panel(l, id(l, "A"), {:below, id(l, "P")})
-      assert streams(moved) == [["B"], ["C"], ["P"], ["A"], ["Q"]]
-
-      assert streams(Layout.move_panel(l, id(l, "A"), {:below, "r1"})) |> Enum.take(2) == [
-               ["B"],
-               ["A"]
-             ]
-    end
-
-    test "moves a cell by keys, also out of its row and into the next", %{layout: l} do
-      assert streams(Layout.shift_panel(l, id(l, "A"), :right)) |> hd() == ["B", "A"]
-
-      assert streams(Layout.shift_panel(l, id(l, "B"), :right)) == [
-               ["A"],
-               ["B", "C"],
-               ["P"],
-               ["Q"]
-             ]
-
-      assert streams(Layout.shift_panel(l, id(l, "C"), :left)) == [["A", "B", "C"], ["P"], ["Q"]]
-
-      assert streams(Layout.shift_panel(l, id(l, "B"), :up)) == [
-               ["B"],
-               ["A"],
-               ["C"],
-               ["P"],
-               ["Q"]
-             ]
-
-      assert streams(Layout.shift_panel(l, id(l, "C"), :down)) == [
-               ["A", "B"],
-               ["P"],
-               ["C"],
-               ["Q"]
-             ]
-
-      assert streams(Layout.shift_panel(l, id(l, "P"), :up)) == [["A", "B"], ["P"], ["C"], ["Q"]]
+      # A row of two is gone without one of them.
+      l = Layout.remove_panel(l, id(l, "C"))
+      assert shift.(l, "A", :down) == [:column, "B", "A", "P", "Q"]
     end
 
     test "leaves panels that cannot move", %{layout: l} do
-      for {stream, way} <- [{"A", :left}, {"C", :right}, {"P", :left}, {"Q", :down}],
-          do: assert(Layout.shift_panel(l, id(l, stream), way) == {:ok, l})
-
+      assert Layout.shift_panel(l, id(l, "Q"), :down) == {:ok, l}
       assert Layout.shift_panel(l, "p99", :up) == {:ok, l}
-      assert Layout.move_panel(l, "p99", {:above, "r1"}) == {:ok, l}
-      assert Layout.move_panel(l, id(l, "A"), {:above, "r99"}) == {:ok, l}
+      assert Layout.move_panel(l, "p99", {:above, "p1"}) == {:ok, l}
+      assert Layout.move_panel(l, "p1", {:above, "s99"}) == {:ok, l}
+      assert Layout.move_panel(l, "p1", {:above, "p1"}) == {:ok, l}
     end
 
-    test "reports a full row", %{layout: l} do
-      l =
-        Enum.reduce(1..3, l, fn i, l ->
-          {:ok, l, _} = Layout.add_stream(l, "X#{i}", "x", :value, "", row: "r1")
-          l
+    test "keeps the sizes that the user set", %{layout: l} do
+      [%Tree{way: :row, id: row} | _] = l.tree.parts
+      l = l |> Layout.resize_part(row, 500) |> Layout.resize_row(row, [60, 20, 20])
+      assert [60.0, 20.0, 20.0] == Sizes.row_shares(l, hd(l.tree.parts))
+
+      # A new part takes half of the width of the one next to it.
+      {:ok, l} = move(l, "P", :right, "A")
+      assert [30.0, 30.0, 20.0, 20.0] == Sizes.row_shares(l, hd(l.tree.parts))
+      assert "flex: 0 0 500px" == Sizes.height_style(l, hd(l.tree.parts), %{})
+      l = l |> Layout.resize_part(row, nil) |> Layout.resize_row(row, nil)
+      assert Enum.all?(Sizes.row_shares(l, hd(l.tree.parts)), &(&1 in [25.0]))
+    end
+
+    test "reports a full row, and too many splits", %{layout: l} do
+      {l, _} =
+        Enum.reduce(1..6, {l, nil}, fn i, {l, _} ->
+          {:ok, l, id} = Layout.add_stream(l, "X#{i}", "x", :plot, "")
+          {l, Layout.move_panel(l, id, {:left, id(l, "A")})}
+
+          {:ok, l} =
+            with {:error, _} <- Layout.move_panel(l, id, {:left, id(l, "A")}), do: {:ok, l}
+
+          {l, nil}
         end)
 
-      assert {:error, %{code: :full}} = Layout.move_panel(l, id(l, "C"), {:left, id(l, "A")})
+      assert {:error, %{code: :full}} = move(l, "Q", :left, "A")
     end
+  end
+
+  test "toggles between images next to the timelines and above them" do
+    streams = [{"A", :image}, {"B", :space}, {"P", :plot}, {"Q", :plot}]
+
+    layout =
+      Enum.reduce(streams, Layout.new(""), fn {stream, panel}, layout ->
+        {:ok, layout, _} = Layout.add_stream(layout, stream, "x", panel, "")
+        layout
+      end)
+
+    beside = Layout.toggle_side(layout)
+    assert Tree.to_list(beside.tree) == [:row, [:column, "p1", "p2"], [:column, "p3", "p4"]]
+    assert Places.has_side?(beside.tree, Layout.timeline_ids(beside))
+
+    assert Tree.to_list(Layout.toggle_side(beside).tree) == [
+             :column,
+             [:row, "p1", "p2"],
+             "p3",
+             "p4"
+           ]
   end
 
   property "reading a layout or a link never raises for any bytes" do
@@ -300,7 +347,7 @@ defmodule Situ.Studio.LayoutTest do
 
     for shape <- shapes do
       layout = Layout.Auto.build_layout([%StreamInfo{name: "A.b", shape: shape}])
-      assert layout.rows != [], "nothing of a #{shape}"
+      assert layout.panels != [], "nothing of a #{shape}"
     end
 
     layout =
@@ -311,9 +358,9 @@ defmodule Situ.Studio.LayoutTest do
       ])
 
     assert [["Left.Image"], ["Right.Image", "Right.Faces"]] =
-             for(p <- layout.rows, do: Enum.map(p.vis, & &1.stream))
+             for(p <- layout.panels, do: Enum.map(p.vis, & &1.stream))
 
-    assert Layout.Auto.build_layout([]).rows == []
+    assert Layout.Auto.build_layout([]).panels == []
   end
 
   test "puts a wide image in its own row above the timelines, and others side by side" do
@@ -331,16 +378,12 @@ defmodule Situ.Studio.LayoutTest do
       "Right" => %ImageLook{width: 640, height: 480}
     }
 
-    assert %{cell_column: false} = layout = Layout.Auto.build_layout(streams, looks)
-
-    assert [["Pan"], ["Left", "Right"], ["Sound"], ["Level"]] =
-             for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
+    layout = Layout.Auto.build_layout(streams, looks)
+    assert streams(layout) == [:column, "Pan", [:row, "Left", "Right"], "Sound", "Level"]
 
     # Three images of the usual shape are larger side by side than one below the other.
-    assert %{cell_column: false} =
-             layout = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
-
-    assert [["Left", "Pan", "Right"], ["Sound"], ["Level"]] = lines(layout)
+    layout = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
+    assert streams(layout) == [:column, [:row, "Left", "Pan", "Right"], "Sound", "Level"]
   end
 
   test "puts a tall image next to the timelines" do
@@ -351,8 +394,9 @@ defmodule Situ.Studio.LayoutTest do
     ]
 
     looks = %{"Phone" => %ImageLook{width: 720, height: 1280}}
-    assert %{cell_column: true} = layout = Layout.Auto.build_layout(streams, looks)
-    assert hd(layout.rows).aspect == 0.56
+    layout = Layout.Auto.build_layout(streams, looks)
+    assert streams(layout) == [:row, "Phone", [:column, "Sound", "Level"]]
+    assert hd(layout.panels).aspect == 0.56
   end
 
   test "cells share the width of a row by their shapes" do
@@ -364,14 +408,10 @@ defmodule Situ.Studio.LayoutTest do
 
     looks = %{"Camera" => %ImageLook{width: 1920, height: 1080}}
     layout = Layout.Auto.build_layout(streams, looks)
-    assert [["Camera", "Way"], ["Speed"]] = lines(layout)
-    [cells | _] = Layout.panel_lines(layout)
-    assert Layout.line_style(cells, %{}) =~ "aspect-ratio: 3.08"
-
-    assert Enum.map(cells, &Layout.cell_style/1) == [
-             "flex-grow: 1.78",
-             "flex-grow: 1.3"
-           ]
+    assert streams(layout) == [:column, [:row, "Camera", "Way"], "Speed"]
+    [cells | _] = layout.tree.parts
+    assert Sizes.height_style(layout, cells, %{}) =~ "aspect-ratio: 3.08"
+    assert Sizes.row_shares(layout, cells) == [57.8, 42.2]
 
     assert {:ok, ^layout} = layout |> Layout.Json.to_json() |> Layout.Json.parse_json()
   end
@@ -391,9 +431,10 @@ defmodule Situ.Studio.LayoutTest do
 
       for timelines <- [[], tl(plots), plots] do
         layout = Layout.Auto.build_layout(streams ++ timelines, looks)
-        drawn = layout |> lines() |> List.flatten()
+        drawn = for panel <- layout.panels, do: hd(panel.vis).stream
         assert Enum.sort(drawn) == Enum.sort(shown ++ Enum.map(timelines, & &1.name))
-        assert layout |> Layout.panel_lines() |> Enum.all?(&(length(&1) <= 3))
+        rows = for %{way: :row} = row <- list_splits(layout.tree), do: length(row.parts)
+        assert Enum.all?(rows, &(&1 <= 3))
       end
     end
   end
@@ -406,30 +447,27 @@ defmodule Situ.Studio.LayoutTest do
 
     assert [["Arm.Angle", "Arm.Tilt"], ["Arm.Torque"]] =
              for(
-               p <- Layout.Auto.build_layout(streams, %{}, ranges).rows,
+               p <- Layout.Auto.build_layout(streams, %{}, ranges).panels,
                do: Enum.map(p.vis, & &1.stream)
              )
 
     # A constant stream is a line anywhere, but it must not flatten the others.
     constant = Map.put(ranges, "Arm.Tilt", {20, 20})
-    assert length(Layout.Auto.build_layout(streams, %{}, constant).rows) == 3
+    assert length(Layout.Auto.build_layout(streams, %{}, constant).panels) == 3
   end
-
-  defp lines(layout),
-    do: for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
 
   test "colors images of class numbers: over a camera's image, or alone" do
     streams = for n <- ["Cam.Image", "Cam.Classes"], do: %StreamInfo{name: n, shape: :image}
     looks = %{"Cam.Classes" => %ImageLook{width: 640, height: 480, classes: true}}
 
     assert [%{vis: [%{viz: "image", stream: "Cam.Image"}, %{viz: "masks"}]}] =
-             Layout.Auto.build_layout(streams, looks).rows
+             Layout.Auto.build_layout(streams, looks).panels
 
     alone = for n <- ["A", "B"], do: %StreamInfo{name: n, shape: :image}
     looks = Map.new(["A", "B"], &{&1, %ImageLook{width: 640, height: 480, classes: true}})
 
     assert [[%{viz: "masks", stream: "A"}], [%{viz: "masks", stream: "B"}]] =
-             for(p <- Layout.Auto.build_layout(alone, looks).rows, do: p.vis)
+             for(p <- Layout.Auto.build_layout(alone, looks).panels, do: p.vis)
   end
 
   test "a dark or uniform image is not an image of class numbers" do
@@ -471,13 +509,9 @@ defmodule Situ.Studio.LayoutTest do
              {:lanes, ["states", "spans"]},
              {:plot, ["lines"]},
              {:plot, ["line"]}
-           ] = for(p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.viz)})
+           ] = for(p <- layout.panels, do: {p.panel, Enum.map(p.vis, & &1.viz)})
 
     # The page is 720 pixels high, and its bars and the navigator use 118 of them.
-    heights =
-      for line <- Layout.panel_lines(layout),
-          do: Layout.line_height(line, %{"Talk.Speaking" => 2})
-
-    assert Enum.sum(heights) <= 720 - 118
+    assert Sizes.least_height(layout, layout.tree, %{"Talk.Speaking" => 2}) <= 720 - 118
   end
 end

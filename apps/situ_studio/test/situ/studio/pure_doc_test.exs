@@ -44,7 +44,12 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Log
   doctest Situ.Studio.Visualizers.Table
   doctest Situ.Studio.Layout.Arrangement
-  doctest Situ.Studio.Layout.Rows
+  doctest Situ.Studio.Bookmarks
+  doctest Situ.Studio.Layout.Places
+  doctest Situ.Studio.LogLine
+  doctest Situ.Studio.Layout.Sizes
+  doctest Situ.Studio.Layout.Tree
+  doctest Situ.Studio.Layout.TreeJson
   doctest Situ.Studio.Layout.SignalRange
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder

@@ -49,6 +49,33 @@ defmodule Situ.Studio.StatisticsTest do
     assert %{"n" => 1, "mean" => 7.0, "sd" => 0.0} = b
   end
 
+  test "measures between both ends by the values that the cursor shows there" do
+    measure = fn rows, from, to ->
+      [row | _] =
+        Statistics.compute_rows(Asking.source("S", rows), %{stream: "S", path: ""}, from, to)
+
+      Map.take(Map.new(row.values, &List.to_tuple/1), [
+        "at_start",
+        "at_end",
+        "change",
+        "slope_per_s"
+      ])
+    end
+
+    s = 1_000_000_000
+    rows = for i <- 0..10, do: {i * s, i * i}
+
+    assert measure.(rows, 2 * s + 5, 6 * s + 5) ==
+             %{"at_start" => 4, "at_end" => 36, "change" => 32, "slope_per_s" => 8.0}
+
+    assert %{"at_end" => -1, "change" => -3} =
+             measure.([{0, %{"b" => 2}}, {s, %{"b" => -1}}], 0, s)
+
+    assert measure.(rows, 5, 5) == %{}
+    assert measure.([{5, 1}, {6, 2}], 0, 9) == %{}
+    assert Map.keys(measure.([{0, -1.7e308}, {s, 1.7e308}], 0, s)) == ["at_end", "at_start"]
+  end
+
   test "reports an invalid path" do
     assert [%{error: "" <> _, values: []}] =
              Statistics.compute_rows(Asking.source("S", []), %{stream: "S", path: "["}, 0, 1)

@@ -3,11 +3,11 @@ defmodule Situ.Studio.Layout.Arrangement do
   # Arranges the cells of an automatic layout: in rows above the timelines, or in a column next to them, whichever shows
   # their content larger in a window of 1280 x 800 pixels. Pure.
   alias Situ.Studio.Layout
-  alias Situ.Studio.Layout.Rows
+  alias Situ.Studio.Layout.{Places, Sizes, Tree}
 
-  @width elem(Rows.usual_size(), 0)
-  @height elem(Rows.usual_size(), 1)
-  @head elem(Rows.usual_size(), 2)
+  @width elem(Sizes.usual_size(), 0)
+  @height elem(Sizes.usual_size(), 1)
+  @head elem(Sizes.usual_size(), 2)
   # The rows of cells above the timelines get at least and at most this share of the height.
   @least 0.3
   @most 0.6
@@ -21,18 +21,19 @@ defmodule Situ.Studio.Layout.Arrangement do
   Arranges the cells of a layout. `ratios` maps the ids of panels to the ratio of width to height of their content.
 
       iex> alias Situ.Studio.Layout
-      iex> add = fn layout, stream, panel -> elem(Layout.add_stream(layout, stream, "x", panel, "", row: "r1"), 1) end
+      iex> add = fn layout, stream, panel -> elem(Layout.add_stream(layout, stream, "x", panel, ""), 1) end
       iex> layout = Layout.new("") |> add.("Camera", :image) |> add.("Level", :plot) |> add.("Speed", :plot)
-      iex> Layout.Arrangement.arrange(layout, %{"p1" => 16 / 9}).cell_column
-      false
-      iex> Layout.Arrangement.arrange(layout, %{"p1" => 3 / 4}).cell_column
-      true
+      iex> Layout.Tree.to_list(Layout.Arrangement.arrange(layout, %{"p1" => 16 / 9}).tree)
+      [:column, "p1", "p2", "p3"]
+      iex> Layout.Tree.to_list(Layout.Arrangement.arrange(layout, %{"p1" => 3 / 4}).tree)
+      [:row, "p1", [:column, "p2", "p3"]]
   """
   @spec arrange(Layout.t(), %{optional(String.t()) => float()}) :: Layout.t()
   def arrange(%Layout{} = layout, ratios) do
-    {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
+    {timelines, cells} = Enum.split_with(layout.panels, &Layout.timeline?(&1.panel))
     cells = Enum.map(cells, &%{&1 | aspect: aspect(&1, ratios)})
     rows = group_cells(cells)
+    lines = Enum.map(timelines, &[&1])
 
     cond do
       cells == [] ->
@@ -40,14 +41,20 @@ defmodule Situ.Studio.Layout.Arrangement do
 
       # Without timelines, the cells share the whole area.
       timelines == [] ->
-        %{layout | rows: name_rows(rows) |> Enum.map(&%{&1 | aspect: nil})}
+        put_rows(layout, Enum.map(rows, fn row -> Enum.map(row, &%{&1 | aspect: nil}) end), false)
 
-      length(timelines) > 1 and column_benefit(cells) > rows_benefit(rows, timelines) ->
-        %{layout | rows: name_rows(Enum.map(cells, &[&1])) ++ timelines, cell_column: true}
+      length(timelines) > 1 and column_benefit(cells) > rows_benefit(layout, rows, timelines) ->
+        put_rows(layout, Enum.map(cells, &[&1]) ++ lines, true)
 
       true ->
-        %{layout | rows: name_rows(rows) ++ timelines}
+        put_rows(layout, rows ++ lines, false)
     end
+  end
+
+  defp put_rows(layout, rows, side?) do
+    ids = for row <- rows, do: Enum.map(row, & &1.id)
+    tree = Places.from_rows(ids, Layout.timeline_ids(layout), side?)
+    Layout.put_tree(%{layout | panels: List.flatten(rows)}, tree)
   end
 
   defp aspect(panel, ratios) do
@@ -61,20 +68,15 @@ defmodule Situ.Studio.Layout.Arrangement do
     Enum.map(wide, &[&1]) ++ Enum.chunk_every(others, @cells)
   end
 
-  defp name_rows(rows) do
-    rows
-    |> Enum.with_index(1)
-    |> Enum.flat_map(fn {row, i} -> Enum.map(row, &%{&1 | row: "r#{i}"}) end)
-  end
-
-  defp rows_benefit(rows, timelines) do
-    needed = timelines |> Enum.map(&Layout.line_height([&1])) |> Enum.sum()
+  defp rows_benefit(layout, rows, timelines) do
+    least = &Sizes.least_height(layout, Tree.new_panel(&1.id), %{})
+    needed = timelines |> Enum.map(least) |> Enum.sum()
     available = (@height - 1.1 * needed) |> max(@least * @height) |> min(@most * @height)
-    rows |> Enum.map(&{&1, @width / Rows.sum_aspects(&1)}) |> benefit_within(available)
+    rows |> Enum.map(&{&1, @width / Sizes.sum_aspects(&1)}) |> benefit_within(available)
   end
 
   defp column_benefit(cells) do
-    width = Rows.column_share(Enum.map(cells, &[&1])) * @width
+    width = Sizes.column_share(Enum.map(cells, &[&1])) * @width
     cells |> Enum.map(&{[&1], width / &1.aspect}) |> benefit_within(@height)
   end
 

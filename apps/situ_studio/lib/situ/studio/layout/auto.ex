@@ -31,7 +31,7 @@ defmodule Situ.Studio.Layout.Auto do
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
       iex> layout = Situ.Studio.Layout.Auto.build_layout([level, audio])
-      iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
+      iex> for p <- layout.panels, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
   @spec build_layout(
@@ -67,7 +67,7 @@ defmodule Situ.Studio.Layout.Auto do
   # The content of a cell is as wide as its first image of a known size.
   defp arrange_panels(layout, looks) do
     ratios =
-      for panel <- layout.rows,
+      for panel <- layout.panels,
           %ImageLook{} = look <- Enum.map(panel.vis, &looks[&1.stream]) |> Enum.take(1),
           into: %{},
           do: {panel.id, ImageLook.ratio(look)}
@@ -85,7 +85,7 @@ defmodule Situ.Studio.Layout.Auto do
 
     {layout, _} =
       Enum.reduce(Enum.take(drawn, 2 * @spaces), {layout, ""}, fn {s, viz}, {layout, id} ->
-        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :space, id, row: "r1")
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :space, id)
         {layout, id}
       end)
 
@@ -96,7 +96,7 @@ defmodule Situ.Studio.Layout.Auto do
   defp add_map_panel(layout, streams) do
     {layout, _} =
       Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
-        {:ok, layout, id} = Layout.add_stream(layout, s.name, "map", :map, id, row: "r1")
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, "map", :map, id)
         {layout, id}
       end)
 
@@ -110,8 +110,7 @@ defmodule Situ.Studio.Layout.Auto do
     {layout, ids} =
       Enum.reduce(pictures, {layout, %{}}, fn s, {layout, ids} ->
         viz = if s.shape == :depth, do: "depth", else: "image"
-        row = "r#{map_size(ids) + 1}"
-        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :image, "", row: row)
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :image, "")
         {layout, Map.put(ids, s.name, id)}
       end)
 
@@ -128,10 +127,9 @@ defmodule Situ.Studio.Layout.Auto do
   defp add_class_masks(layout, classes, []) do
     classes
     |> Enum.take(@pictures)
-    |> Enum.with_index(1)
-    |> Enum.reduce(layout, fn {s, i}, layout ->
+    |> Enum.reduce(layout, fn s, layout ->
       # Added as an image first, because masks would join the previous panel.
-      {:ok, layout, id} = Layout.add_stream(layout, s.name, "image", :image, "", row: "r#{i}")
+      {:ok, layout, id} = Layout.add_stream(layout, s.name, "image", :image, "")
 
       Layout.update_panel(
         layout,
@@ -146,7 +144,7 @@ defmodule Situ.Studio.Layout.Auto do
 
     Enum.reduce(Enum.take(classes, @pictures), layout, fn s, layout ->
       over = Enum.max_by(shown, &common_prefix_length(&1.name, s.name))
-      panel = Enum.find(layout.rows, &Enum.any?(&1.vis, fn v -> v.stream == over.name end))
+      panel = Enum.find(layout.panels, &Enum.any?(&1.vis, fn v -> v.stream == over.name end))
       {:ok, layout, _} = Layout.add_stream(layout, s.name, "masks", :image, panel.id)
       layout
     end)
@@ -156,7 +154,7 @@ defmodule Situ.Studio.Layout.Auto do
 
   defp add_cell_panels(layout, streams, viz, panel) do
     Enum.reduce(streams, layout, fn s, layout ->
-      {:ok, layout, _} = Layout.add_stream(layout, s.name, viz, panel, "", row: "r1")
+      {:ok, layout, _} = Layout.add_stream(layout, s.name, viz, panel, "")
       layout
     end)
   end
@@ -198,7 +196,7 @@ defmodule Situ.Studio.Layout.Auto do
   end
 
   # Shows the first streams if no other panel was added.
-  defp add_fallback_panels(%Layout{rows: []} = layout, [_ | _] = streams) do
+  defp add_fallback_panels(%Layout{panels: []} = layout, [_ | _] = streams) do
     first = streams |> Enum.sort_by(& &1.name) |> Enum.take(3)
 
     layout

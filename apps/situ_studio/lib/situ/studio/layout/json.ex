@@ -1,11 +1,12 @@
 defmodule Situ.Studio.Layout.Json do
   @moduledoc false
-  # Converts layouts to and from JSON text, for files and addresses. The text is untrusted.
+  # Converts layouts to and from JSON text, for files and addresses. The text is untrusted. Version 1 had rows of panels
+  # instead of a tree; it is read, too.
   alias Situ.Error
   alias Situ.Studio.{Layout, Int64}
-  alias Situ.Studio.Layout.{Panel, Visualization}
+  alias Situ.Studio.Layout.{Panel, Places, Tree, TreeJson, Visualization}
 
-  @version 1
+  @version 2
   @heights 28..2_000
   @id ~r/\A[a-z0-9]{1,16}\z/
   @max_panels elem(Layout.size_limits(), 0)
@@ -16,10 +17,10 @@ defmodule Situ.Studio.Layout.Json do
     doc = %{
       "version" => @version,
       "name" => layout.name,
-      "panels" => Enum.map(layout.rows, &panel_json/1)
+      "panels" => Enum.map(layout.panels, &panel_json/1)
     }
 
-    doc = if layout.cell_column, do: Map.put(doc, "beside", true), else: doc
+    doc = put_present(doc, "tree", TreeJson.encode(layout.tree))
     doc |> put_present("compared", compared_json(layout.compared)) |> Situ.JSON.encode_pretty()
   end
 
@@ -33,8 +34,6 @@ defmodule Situ.Studio.Layout.Json do
           do: %{"viz" => v.viz, "stream" => v.stream, "path" => v.path, "props" => v.props}
 
     %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
-    |> put_present("row", p.row)
-    |> put_present("height", p.height)
     |> put_present("aspect", p.aspect)
     |> put_present("axis", axis_json(p.axis))
     |> put_present("threshold", p.threshold && Tuple.to_list(p.threshold))
@@ -50,19 +49,18 @@ defmodule Situ.Studio.Layout.Json do
   @spec parse_json(binary()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def parse_json(json) do
     case Situ.JSON.decode(json) do
-      {:ok, %{"version" => @version, "name" => name, "panels" => panels} = doc}
-      when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
+      {:ok, %{"version" => version, "name" => name, "panels" => panels} = doc}
+      when version in 1..@version and is_binary(name) and is_list(panels) and
+             length(panels) <= @max_panels ->
         with {:ok, layout} <- read_panels(name, panels),
+             {:ok, tree} <- read_tree(layout, doc),
              do:
-               {:ok,
-                %{
-                  layout
-                  | cell_column: doc["beside"] == true,
-                    compared: parse_compared(doc["compared"])
-                }}
+               {:ok, Layout.put_tree(%{layout | compared: parse_compared(doc["compared"])}, tree)}
 
-      {:ok, %{"version" => version}} when version != @version ->
-        layout_error("it has version #{inspect(version)}, but this studio reads #{@version}")
+      {:ok, %{"version" => version}} when version not in 1..@version ->
+        layout_error(
+          "it has version #{inspect(version)}, but this studio reads up to #{@version}"
+        )
 
       {:ok, _} ->
         layout_error("it must contain \"version\", \"name\" and \"panels\"")
@@ -71,6 +69,39 @@ defmodule Situ.Studio.Layout.Json do
         layout_error("it is not JSON")
     end
   end
+
+  # Several people may have changed the layout at the same time, so the tree may lack panels or have others.
+  defp read_tree(layout, %{"version" => 1} = doc) do
+    panels = Enum.zip(layout.panels, doc["panels"])
+    rows = for row <- Enum.chunk_by(panels, &row_of/1), do: Enum.map(row, fn {p, _} -> p.id end)
+    tree = Places.from_rows(rows, Layout.timeline_ids(layout), doc["beside"] == true)
+    {:ok, put_heights(tree, panels)}
+  end
+
+  defp read_tree(layout, doc) do
+    case TreeJson.parse(doc["tree"], Enum.map(layout.panels, & &1.id)) do
+      {:ok, tree} -> {:ok, tree}
+      {:error, why} -> layout_error(why)
+    end
+  end
+
+  defp row_of({%Panel{panel: kind, id: id}, doc}),
+    do: if(Layout.timeline?(kind), do: id, else: doc["row"] || "r" <> id)
+
+  # The height of a row was a property of its panels.
+  defp put_heights(tree, panels) do
+    for {panel, %{"height" => height}} <- panels, height != nil, reduce: tree do
+      tree -> put_height(tree, Tree.ancestors(tree, panel.id), panel.id, height)
+    end
+  end
+
+  defp put_height(tree, [{%Tree{way: :column}, _} | _], id, height),
+    do: Tree.update(tree, id, &%{&1 | size: height})
+
+  defp put_height(tree, [{%Tree{way: :row, id: id}, _} | [_ | _]], _, height),
+    do: Tree.update(tree, id, &%{&1 | size: height})
+
+  defp put_height(tree, _, _, _), do: tree
 
   defp parse_compared(%{"with" => id, "offset" => offset}) when is_binary(id) do
     case Int64.parse(offset) do
@@ -87,7 +118,7 @@ defmodule Situ.Studio.Layout.Json do
     case Enum.find_index(read, &(&1 == :error)) || find_duplicate_id(read) do
       nil ->
         next = read |> Enum.map(&panel_number/1) |> Enum.max(fn -> 0 end)
-        {:ok, %Layout{name: name, rows: read, next: next + 1}}
+        {:ok, %Layout{name: name, panels: read, next: next + 1}}
 
       {:twice, id} ->
         layout_error("two panels have the id #{id}")
@@ -114,8 +145,6 @@ defmodule Situ.Studio.Layout.Json do
       %Panel{
         id: id,
         panel: kind,
-        row: if(Layout.timeline?(kind), do: nil, else: row || "r" <> id),
-        height: doc["height"],
         aspect: parse_aspect(doc["aspect"]),
         vis: vis,
         axis: parse_axis(doc["axis"]),

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Visualizers.Value do
   @moduledoc false
-  # Shows any message at the cursor as a tree of its values.
+  # Shows any message at the cursor as a tree of its values, with the differences to the message before.
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValueTree, Visualizer}
+  alias Situ.Studio.{Frame, StreamReader, ValuePath, ValueTree, Visualizer}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @impl true
@@ -19,14 +19,33 @@ defmodule Situ.Studio.Visualizers.Value do
   end
 
   @impl true
-  def instant(channel, data, message) do
-    Frame.json(channel, message.originating_time, %{
-      "tree" => ValueTree.build(data),
-      "time" => Integer.to_string(message.originating_time),
-      "sequence" => message.sequence_id,
-      "latency" => Situ.Message.latency(message),
-      "type" => type_name(data)
-    })
+  def instant(channel, data, message, context) do
+    tree = ValueTree.build(data)
+
+    Frame.json(
+      channel,
+      message.originating_time,
+      Map.merge(compare_before(data, tree, message, context), %{
+        "tree" => tree,
+        "time" => Integer.to_string(message.originating_time),
+        "sequence" => message.sequence_id,
+        "latency" => Situ.Message.latency(message),
+        "type" => type_name(data)
+      })
+    )
+  end
+
+  # A second image might have to be decoded, and its bytes are not comparable.
+  defp compare_before(%module{}, _, _, _)
+       when module in [Situ.Image, Situ.EncodedImage, Situ.DepthImage],
+       do: %{}
+
+  defp compare_before(_, tree, message, %{source: source, spec: %{stream: stream, path: path}}) do
+    with [before] <-
+           StreamReader.list_neighbours(source, stream, :before, message.originating_time, 1),
+         {:ok, data} <- ValuePath.fetch(before.data, path),
+         do: data |> ValueTree.build() |> ValueTree.list_changes(tree),
+         else: (_ -> %{})
   end
 
   defp type_name(%module{}), do: inspect(module)

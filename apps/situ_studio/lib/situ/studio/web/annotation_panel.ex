@@ -337,7 +337,7 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   @doc false
   def annotation_panel(assigns) do
     ~H"""
-    <section class="row-box timeline annotation" id="annotation" data-menu="annotation">
+    <section class="panel-box timeline annotation" id="annotation" data-menu="annotation">
       <div id="annotation-body" class="panel-body" phx-hook="Annotations" phx-update="ignore" tabindex="0"
           role="application" aria-label={"Annotations " <> @stream}></div>
     </section>

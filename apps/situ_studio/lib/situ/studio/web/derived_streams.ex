@@ -30,7 +30,7 @@ defmodule Situ.Studio.Web.DerivedStreams do
   end
 
   defp layout_rows(nil), do: []
-  defp layout_rows(layout), do: layout.rows
+  defp layout_rows(layout), do: layout.panels
 
   @doc "Reloads the streams if the layout has derived streams that are not loaded yet."
   @spec ensure_loaded(Socket.t(), (Socket.t() -> Socket.t())) :: Socket.t()

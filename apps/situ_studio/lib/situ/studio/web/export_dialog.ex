@@ -64,7 +64,7 @@ defmodule Situ.Studio.Web.ExportDialog do
   defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
   defp shown_streams(%{layout: layout, shapes: shapes}) do
-    for(panel <- layout.rows, v <- panel.vis, Map.has_key?(shapes, v.stream), do: v.stream)
+    for(panel <- layout.panels, v <- panel.vis, Map.has_key?(shapes, v.stream), do: v.stream)
     |> Enum.uniq()
   end
 

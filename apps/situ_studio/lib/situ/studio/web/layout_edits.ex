@@ -5,7 +5,13 @@ defmodule Situ.Studio.Web.LayoutEdits do
   alias Situ.{Error, Studio}
   alias Studio.{Layout, Visualizer, Visualizers}
 
-  @sides %{"above" => :above, "below" => :below, "left" => :left, "right" => :right}
+  @sides %{
+    "above" => :above,
+    "below" => :below,
+    "left" => :left,
+    "right" => :right,
+    "tab" => :tab
+  }
   @ways %{"up" => :up, "down" => :down, "left" => :left, "right" => :right}
 
   @spec apply_event(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
@@ -16,7 +22,7 @@ defmodule Situ.Studio.Web.LayoutEdits do
       # A stream that is dropped on a panel uses a visualizer that fits this panel, if there is one.
       panel = Layout.find_panel(assigns.layout, into)
       entry = (panel && Enum.find(entries, &(&1.panel == panel.panel))) || hd(entries)
-      add_to_panel(assigns, stream, entry, into)
+      assigns |> add_to_panel(stream, entry, into) |> place_new_panel(params)
     end
   end
 
@@ -48,7 +54,7 @@ defmodule Situ.Studio.Web.LayoutEdits do
   end
 
   def apply_event("beside", _, assigns),
-    do: {:ok, layout: Layout.toggle_cell_column(assigns.layout)}
+    do: {:ok, layout: Layout.toggle_side(assigns.layout)}
 
   # Maximizes one panel until it is restored.
   def apply_event("maximise", %{"id" => id}, assigns) do
@@ -102,9 +108,6 @@ defmodule Situ.Studio.Web.LayoutEdits do
          do: {:ok, layout: Layout.remove_vis(assigns.layout, id, i)}
   end
 
-  def apply_event("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
-    do: {:ok, layout: Layout.move_row(assigns.layout, id, String.to_integer(by))}
-
   # The panel was dropped on a position, or a key moved it one step.
   def apply_event("place_panel", %{"id" => id, "side" => side, "target" => target}, assigns)
       when is_map_key(@sides, side) and is_binary(id) and is_binary(target) do
@@ -118,9 +121,15 @@ defmodule Situ.Studio.Web.LayoutEdits do
          do: {:ok, layout: layout}
   end
 
-  def apply_event("resize_row", %{"id" => id, "height" => height}, assigns)
-      when is_integer(height) and is_binary(id),
-      do: {:ok, layout: Layout.resize_row(assigns.layout, id, height)}
+  def apply_event("resize_part", %{"id" => id, "height" => height}, assigns)
+      when (is_integer(height) or height == nil) and is_binary(id),
+      do: {:ok, layout: Layout.resize_part(assigns.layout, id, height)}
+
+  def apply_event("resize_row", %{"id" => id, "shares" => shares}, assigns) when is_binary(id),
+    do: {:ok, layout: Layout.resize_row(assigns.layout, id, shares)}
+
+  def apply_event("select_tab", %{"id" => id}, assigns) when is_binary(id),
+    do: {:ok, layout: Layout.select_tab(assigns.layout, id)}
 
   # Scales each line to its own minimum and maximum, or all lines to one axis again.
   def apply_event("axis", %{"panel" => id, "own" => "true"}, assigns),
@@ -225,6 +234,18 @@ defmodule Situ.Studio.Web.LayoutEdits do
       {:ok, layout: layout, selected: {:panel, id}}
     end
   end
+
+  # A stream that is dropped on the edge of a panel gets a panel there.
+  defp place_new_panel({:ok, [layout: layout, selected: {:panel, id}]}, %{
+         "side" => side,
+         "target" => target
+       })
+       when is_map_key(@sides, side) and is_binary(target) do
+    with {:ok, layout} <- Layout.move_panel(layout, id, {@sides[side], target}),
+         do: {:ok, layout: layout, selected: {:panel, id}}
+  end
+
+  defp place_new_panel(added, _), do: added
 
   defp put_axis(assigns, id, axis),
     do: {:ok, layout: Layout.update_panel(assigns.layout, id, &%{&1 | axis: axis})}

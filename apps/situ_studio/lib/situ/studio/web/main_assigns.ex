@@ -29,7 +29,11 @@ defmodule Situ.Studio.Web.MainAssigns do
 
   # The time at which every image and other cell has content, if it is in the first half of the data; else `nil`.
   defp first_cell_time(layout, infos) do
-    cells = for %{row: row, vis: [vis | _]} <- layout.rows, row != nil, do: vis.stream
+    cells =
+      for %{panel: panel, vis: [vis | _]} <- layout.panels,
+          not Layout.timeline?(panel),
+          do: vis.stream
+
     starts = for %{first: first, name: name} <- infos, first != nil, name in cells, do: first
 
     with [_ | _] <- starts,
@@ -65,7 +69,7 @@ defmodule Situ.Studio.Web.MainAssigns do
 
   # Returns the changed layout for the page's address, or "" if it is the same as the saved one.
   defp encode_edit(layout, saved) do
-    if {layout.rows, layout.cell_column} == {saved.rows, saved.cell_column},
+    if Layout.same_panels?(layout, saved),
       do: "",
       else: Link.encode(layout)
   end

@@ -8,17 +8,15 @@ defmodule Situ.Studio.Web.MainView do
     Alerts,
     Catalog,
     Comparison,
-    Coverage,
     Layout,
     Settings,
-    Statistics,
-    Int64,
     StreamReader
   }
 
   alias Situ.Studio.Web.{
     AlertBox,
     AnnotationPanel,
+    BookmarkList,
     PageFrame,
     CompareBar,
     DerivedStreams,
@@ -27,6 +25,7 @@ defmodule Situ.Studio.Web.MainView do
     LayoutEdits,
     ExportDialog,
     VideoExportBox,
+    StreamActions,
     StreamFacts,
     LayoutMenu,
     MainAssigns,
@@ -44,6 +43,15 @@ defmodule Situ.Studio.Web.MainView do
   # At most this many layout changes can be undone.
   @undo 100
   @max_lanes 32
+  # The modules that handle events, by the first word of their names.
+  @parts %{
+    "annotation" => AnnotationPanel,
+    "bookmark" => BookmarkList,
+    "export" => ExportDialog,
+    "film" => VideoExportBox,
+    "layer" => LayerDialog,
+    "query" => QueryPanel
+  }
 
   @impl true
   def mount(params, session, socket) do
@@ -98,6 +106,7 @@ defmodule Situ.Studio.Web.MainView do
           |> reload_shifted(socket)
           |> SharedCursors.join()
           |> LayerWatch.join()
+          |> BookmarkList.join()
 
         {:ok,
          socket
@@ -133,7 +142,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("lanes", %{"of" => of, "count" => n}, socket)
       when is_binary(of) and n in 1..@max_lanes do
-    shown = for panel <- socket.assigns.layout.rows, v <- panel.vis, do: v.stream <> v.path
+    shown = for panel <- socket.assigns.layout.panels, v <- panel.vis, do: v.stream <> v.path
 
     if of in shown do
       seen = Map.update(socket.assigns.seen_lanes, of, n, &max(&1, n))
@@ -152,48 +161,9 @@ defmodule Situ.Studio.Web.MainView do
       when event in ["search", "toggle", "fold_all", "unfold_all", "fold_below"],
       do: {:noreply, StreamTree.handle_event(event, params, socket)}
 
-  # A click on a group's name also folds it; its menu entry only selects it.
-  def handle_event("select", %{"path" => path} = params, socket) when is_binary(path) do
-    cond do
-      Map.has_key?(socket.assigns.shapes, path) ->
-        {:noreply, assign(socket, selected: {:stream, path})}
-
-      params["only"] ->
-        {:noreply, assign(socket, selected: {:group, path})}
-
-      true ->
-        socket = StreamTree.handle_event("toggle", %{"path" => path}, socket)
-        {:noreply, assign(socket, selected: {:group, path})}
-    end
-  end
-
-  def handle_event("snap", %{"stream" => stream}, socket) do
-    %{snap: now, shapes: shapes} = socket.assigns
-    snap = if now == stream, do: nil, else: existing_stream(stream, shapes)
-    {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
-  end
-
-  # Zooms to one stream, or to all streams of a panel.
-  def handle_event("zoom_stream", params, socket) do
-    names = List.wrap(params["streams"] || params["stream"])
-
-    case Coverage.total_extent(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
-      nil -> {:noreply, socket}
-      times -> {:noreply, push_event(socket, "zoom_to", times)}
-    end
-  end
-
-  # Computes statistics of the messages in the selection, for each stream of a panel.
-  def handle_event("statistics", %{"panel" => id, "from" => from, "to" => to}, socket) do
-    with {:ok, from} <- Int64.parse(from),
-         {:ok, to} when to >= from <- Int64.parse(to),
-         %{vis: vis} <- Layout.find_panel(socket.assigns.layout, id) do
-      Statistics.compute_async(socket.assigns.source, vis, from, to)
-      {:noreply, socket}
-    else
-      _ -> {:noreply, socket}
-    end
-  end
+  def handle_event(event, params, socket)
+      when event in ["select", "snap", "zoom_stream", "statistics"],
+      do: {:noreply, StreamActions.handle_event(event, params, socket)}
 
   def handle_event("layout_" <> _ = event, params, socket) do
     {:noreply, chosen} = LayoutMenu.handle_event(event, params, socket)
@@ -215,27 +185,11 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("derive_members", %{"stream" => stream}, socket) when is_binary(stream),
     do: {:noreply, DerivedStreams.derive_members(socket, stream, &load_streams/1)}
 
-  def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
-    do: ExportDialog.handle_event(event, params, socket)
-
   def handle_event("compare_" <> _ = event, params, socket)
       when is_map_key(socket.assigns, :item) do
     {:noreply, after_it} = CompareBar.handle_event(event, params, socket)
     {:noreply, after_it |> reload_shifted(socket) |> LayoutMenu.save_changes()}
   end
-
-  def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
-    do: VideoExportBox.handle_event(event, params, socket)
-
-  def handle_event("annotation_" <> _ = event, params, socket)
-      when is_map_key(socket.assigns, :item),
-      do: AnnotationPanel.handle_event(event, params, socket)
-
-  def handle_event("layer_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
-    do: {:noreply, LayerDialog.handle_event(event, params, socket)}
-
-  def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
-    do: {:noreply, QueryPanel.handle_event(event, params, socket)}
 
   # Returns a view-only link. A viewer gets no token, because the page's address already has it.
   def handle_event("viewer_link", _, socket) do
@@ -249,6 +203,18 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
+    case @parts[event |> String.split("_", parts: 2) |> hd()] do
+      nil -> edit_layout(event, params, socket)
+      part -> event |> part.handle_event(params, socket) |> to_noreply()
+    end
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  defp to_noreply({:noreply, socket}), do: {:noreply, socket}
+  defp to_noreply(socket), do: {:noreply, socket}
+
+  defp edit_layout(event, params, socket) do
     case LayoutEdits.apply_event(event, params, socket.assigns) do
       {:ok, changes} ->
         {:noreply,
@@ -262,11 +228,9 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event(_, _, socket), do: {:noreply, socket}
-
   # Saves the previous layout for undo. Picking another layout counts as a change.
   defp record_change(%{assigns: assigns} = socket, event, changes)
-       when event not in ["undo", "redo"] do
+       when event not in ["undo", "redo", "select_tab"] do
     if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
       do: socket,
       else: assign(socket, undo: Enum.take([assigns.layout | assigns.undo], @undo), redo: [])
@@ -274,11 +238,11 @@ defmodule Situ.Studio.Web.MainView do
 
   defp record_change(socket, _, _), do: socket
 
-  defp record_layout_pick(%{assigns: %{layout: %{rows: same}}} = socket, %{layout: %{rows: same}}),
-    do: socket
-
-  defp record_layout_pick(socket, %{layout: before, undo: undo}),
-    do: assign(socket, undo: Enum.take([before | undo], @undo), redo: [])
+  defp record_layout_pick(socket, %{layout: before, undo: undo}) do
+    if Layout.same_panels?(socket.assigns.layout, before),
+      do: socket,
+      else: assign(socket, undo: Enum.take([before | undo], @undo), redo: [])
+  end
 
   @impl true
   def handle_info({:exported, result}, socket) do
@@ -303,6 +267,8 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:situ_annotation, editor, change}, socket),
     do: {:noreply, socket |> AnnotationPanel.show_edit(editor) |> LayerWatch.show_edit(change)}
+
+  def handle_info(:bookmarks_changed, socket), do: {:noreply, BookmarkList.refresh(socket)}
 
   def handle_info(:layers_changed, socket), do: {:noreply, LayerWatch.refresh(socket)}
 
@@ -354,6 +320,7 @@ defmodule Situ.Studio.Web.MainView do
           annotation={@annotation && @annotation.stream} streams={length(@infos)} more={@more_streams} />
       </main>
       <Sidebars.properties_sidebar stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
+      <BookmarkList.bookmark_list bookmarks={@bookmarks} read_only={@read_only} />
       <QueryPanel.search_panel :if={@query_panel} panel={@query_panel} from={StreamFacts.data_start(assigns)}
           annotate={AnnotationPanel.available?(assigns)} />
       <PageFrame.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}

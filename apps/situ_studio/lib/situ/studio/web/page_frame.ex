@@ -180,6 +180,7 @@ defmodule Situ.Studio.Web.PageFrame do
   @doc false
   def script_dialogs(assigns) do
     ~H"""
+    <span id="channel" phx-hook="Channel" hidden></span>
     <div id="dialogs" phx-update="ignore">
       <dialog id="goto" aria-label="Go to time">
         <form method="dialog">

@@ -1,11 +1,12 @@
 defmodule Situ.Studio.Web.Panels do
   @moduledoc false
-  # Renders the center of the page, the rows of panels. The page's script renders the inside of each panel.
+  # Renders the center of the page, the rows, columns and tabs of panels. The page's script renders the inside of each
+  # panel.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.Web.AnnotationPanel
-  alias Situ.Studio.{StreamColors, Layout, Visualizer, Visualizers}
-  alias Situ.Studio.Recordings.Comparison
+  alias Situ.Studio.Web.{AnnotationPanel, PanelConfig}
+  alias Situ.Studio.Layout
+  alias Situ.Studio.Layout.{Places, Sizes, Tree}
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
@@ -21,39 +22,23 @@ defmodule Situ.Studio.Web.Panels do
 
   @doc false
   def panel_stack(assigns) do
-    {cells, times} = assigns.layout |> Layout.panel_lines() |> Enum.split_with(&hd(&1).row)
+    %{layout: layout} = assigns
 
-    {side, main} =
-      if assigns.layout.cell_column,
-        do: {cells, times},
-        else: {[], Layout.panel_lines(assigns.layout)}
+    page = %{
+      layout: layout,
+      times: Layout.timeline_ids(layout),
+      home: Places.timeline_part(layout.tree, Layout.timeline_ids(layout)),
+      max: maximised_id(assigns),
+      rest: Map.take(assigns, [:selected, :known, :streams, :annotation, :more])
+    }
 
-    assigns = assign(assigns, side: side, main: main, max: maximised_id(assigns))
+    assigns = assign(assigns, page: page)
 
     ~H"""
-    <div class={["stack", @side != [] && "beside", @max && "max"]} id="stack" phx-hook="Drop">
-      <div class={["side", contains_panel?(@side, @max) && "maxed"]} id="side" :if={@side != []}
-          style={Layout.column_style(@side)}>
-        <.panel_row :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max}
-            known={@known} />
-        <div class="split" id="split-side" phx-hook="Split" data-var="--side" data-edge="right" tabindex="0"
-            role="separator" aria-orientation="vertical" aria-label="Width of the images" aria-valuenow="40"
-            aria-valuemin="10" aria-valuemax="80"></div>
-      </div>
-      <div class={["times", contains_panel?(@main, @max) && "maxed"]} id="times">
-        <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
-            aria-label="Time navigator"></div>
-        <.panel_row :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max}
-            known={@known} />
-        <button :if={@more > 0 and @layout.rows != []} class="more-streams" type="button"
-            phx-click="layout_more">Show more streams ({@more})</button>
-        <AnnotationPanel.annotation_panel :if={@annotation} stream={@annotation} />
-        <div :if={@layout.rows == [] and @streams > 0}
-            class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>
-        <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
-          do: "This recording is damaged, and none of its streams can be read.",
-          else: "Nothing was recorded here. New recordings appear automatically."}</span></div>
-      </div>
+    <div class={["stack", Places.has_side?(@layout.tree, @page.times) && "beside", @page.max && "max"]} id="stack"
+        phx-hook="Drop" data-part="all">
+      <.timeline_column :if={@layout.tree == nil} page={@page} part={nil} style={nil} />
+      <.layout_part :if={@layout.tree} page={@page} part={@layout.tree} style="flex: 1" />
     </div>
     """
   end
@@ -61,63 +46,191 @@ defmodule Situ.Studio.Web.Panels do
   defp maximised_id(%{layout: layout, maximised: id}),
     do: if(Layout.find_panel(layout, id), do: id)
 
-  defp contains_panel?(lines, max),
-    do: max != nil and Enum.any?(List.flatten(lines), &(&1.id == max))
+  # A part that is maximized, or contains the panel that is.
+  defp maxed_class(part, max), do: max && max in Tree.panel_ids(part) && "maxed"
 
-  defp panel_row(%{line: [%{row: nil} = panel]} = assigns) do
-    assigns = assign(assigns, :panel, panel)
+  defp layout_part(%{page: %{home: home}, part: home} = assigns),
+    do: ~H"<.timeline_column page={@page} part={@part} style={@style} />"
+
+  defp layout_part(%{part: %Tree{way: :panel}} = assigns), do: panel_box(assigns)
+
+  defp layout_part(%{part: %Tree{way: :tabs}} = assigns), do: tab_box(assigns)
+
+  defp layout_part(%{part: %Tree{way: :column}} = assigns) do
+    ~H"""
+    <div class={["part part-column", Places.only_cells?(@part, @page.times) && "side", maxed_class(@part, @page.max)]}
+        id={"part-" <> @part.id} data-part={@part.id} style={@style}>
+      <.column_parts page={@page} parts={@part.parts} />
+    </div>
+    """
+  end
+
+  defp layout_part(%{part: %Tree{way: :row}} = assigns) do
+    shares = Sizes.row_shares(assigns.page.layout, assigns.part)
+    last = length(shares) - 1
+
+    parts =
+      for {{part, share}, i} <- assigns.part.parts |> Enum.zip(shares) |> Enum.with_index(),
+          do: {part, share, i == last}
+
+    assigns = assign(assigns, parts: parts)
 
     ~H"""
-    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected", @max == @panel.id && "maxed"]}
-        id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} data-menu="panel"
-        style={Layout.line_style(@line, @known.lanes)}>
-      <div id={body_id(@panel)} class="panel-body" phx-hook="Panel" phx-update="ignore" role="group"
-          aria-label={stream_names(@panel)} data-kind={@panel.panel} data-config={encode_config(@panel, @known)}></div>
-      <.panel_tools panel={@panel} row={@panel.id} max={@max} />
-      <.resize_handle row={@panel.id} line={@line} known={@known} />
+    <div class={["part part-row", maxed_class(@part, @page.max)]} id={"part-" <> @part.id} data-part={@part.id}
+        style={@style}>
+      <.row_part :for={{part, share, last?} <- @parts} :key={part.id} page={@page} part={part} share={share}
+          last={last?} row={@part.id} />
+    </div>
+    """
+  end
+
+  defp row_part(assigns) do
+    ~H"""
+    <.layout_part page={@page} part={@part} style={"flex: #{@share} 1 0%"} />
+    <div :if={not @last} class="split" id={"split-" <> @part.id} phx-hook="RowSplit" data-row={@row}
+        tabindex="0" role="separator" aria-orientation="vertical"
+        aria-label={"Width of " <> names_in(@part, @page.layout)} aria-valuenow={round(@share)} aria-valuemin="1"
+        aria-valuemax="100"></div>
+    """
+  end
+
+  # The column of the timelines, below the time navigator.
+  defp timeline_column(assigns) do
+    parts =
+      case assigns.part do
+        nil -> []
+        %Tree{way: :column, parts: parts} -> parts
+        part -> [part]
+      end
+
+    assigns =
+      assigns
+      |> assign(assigns.page.rest)
+      |> assign(parts: parts, page: %{assigns.page | home: nil}, layout: assigns.page.layout)
+
+    ~H"""
+    <div class={["times", @part && maxed_class(@part, @page.max)]} id="times" style={@style}
+        data-part={@part && @part.id}>
+      <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
+          aria-label="Time navigator"></div>
+      <.column_parts page={@page} parts={@parts} />
+      <button :if={@more > 0 and @layout.panels != []} class="more-streams" type="button"
+          phx-click="layout_more">Show more streams ({@more})</button>
+      <AnnotationPanel.annotation_panel :if={@annotation} stream={@annotation} />
+      <div :if={@layout.panels == [] and @streams > 0}
+          class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>
+      <div :if={@layout.panels == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
+        do: "This recording is damaged, and none of its streams can be read.",
+        else: "Nothing was recorded here. New recordings appear automatically."}</span></div>
+    </div>
+    """
+  end
+
+  defp column_parts(assigns) do
+    lanes = assigns.page.rest.known.lanes
+    assigns = assign(assigns, lanes: lanes, layout: assigns.page.layout)
+
+    ~H"""
+    <.column_part :for={part <- @parts} :key={part.id} page={@page} part={part} layout={@layout} lanes={@lanes} />
+    """
+  end
+
+  defp column_part(assigns) do
+    ~H"""
+    <.layout_part page={@page} part={@part} style={Sizes.height_style(@layout, @part, @lanes)} />
+    <div class="resize" id={"resize-" <> @part.id} phx-hook="Resize" tabindex="0" role="separator"
+        aria-orientation="horizontal" aria-label={"Height of " <> names_in(@part, @layout)}
+        aria-valuenow={round(@part.size || Sizes.least_height(@layout, @part, @lanes))} aria-valuemin="28"
+        aria-valuemax="4000"></div>
+    """
+  end
+
+  # `tab` is set for a panel in tabs, whose strip shows its name.
+  defp panel_box(%{page: %{layout: layout}, part: %{id: id}} = assigns) do
+    panel = Layout.find_panel(layout, id)
+
+    assigns =
+      assigns
+      |> assign_new(:tab, fn -> false end)
+      |> assign(panel: panel, max: assigns.page.max, timeline: Layout.timeline?(panel.panel))
+      |> assign(assigns.page.rest)
+      |> assign(least: Sizes.least_height(layout, assigns.part, assigns.page.rest.known.lanes))
+
+    ~H"""
+    <section class={["panel-box", if(@timeline, do: "timeline", else: "cell"),
+        @selected == {:panel, @panel.id} && "selected", @max == @panel.id && "maxed"]} id={"panel-" <> @panel.id}
+        data-panel={@panel.id} data-part={@panel.id} data-menu="panel"
+        style={"#{@style}; --least: #{@least}px; --aspect: #{@panel.aspect || "auto"}"}>
+      <div :if={not @timeline and not @tab} class="cell-head">
+        <.drag_handle id={@panel.id} />
+        <button class="title" type="button" phx-click="select_panel" phx-value-id={@panel.id} draggable="true"
+            data-drag={@panel.id} title={stream_names(@panel)}><.panel_title vis={@panel.vis} /></button>
+        <.maximise_button panel={@panel} max={@max} />
+        <.close_button panel={@panel} />
+      </div>
+      <div class="cell-body"><div id={body_id(@panel)} class="panel-body" phx-hook="Panel" phx-update="ignore"
+          role="group" aria-label={stream_names(@panel)} data-kind={@panel.panel}
+          data-config={PanelConfig.encode_config(@panel, @known)}></div></div>
+      <div :if={@timeline and not @tab} class="panel-tools" role="toolbar" aria-label={stream_names(@panel)}>
+        <.drag_handle id={@panel.id} />
+        <.maximise_button panel={@panel} max={@max} />
+        <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
+            aria-label={"Properties of " <> stream_names(@panel)}><.icon name={:tune} /></button>
+        <.close_button panel={@panel} />
+      </div>
     </section>
     """
   end
 
-  defp panel_row(assigns) do
+  # Panels in tabs. The page has only the panel in front.
+  defp tab_box(%{page: %{layout: layout}, part: part} = assigns) do
+    panels = for %{id: id} <- part.parts, do: Layout.find_panel(layout, id)
+    # A maximized panel is in front.
+    active =
+      Enum.find(panels, &(&1.id == assigns.page.max)) ||
+        Enum.find(panels, &(&1.id == part.active))
+
+    assigns =
+      assign(assigns,
+        panels: panels,
+        active: active,
+        max: assigns.page.max,
+        shown: %{Tree.new_panel(active.id) | size: nil}
+      )
+
     ~H"""
-    <section class={["row-box cells", contains_panel?([@line], @max) && "maxed"]} id={"row-" <> row_id(@line)}
-        data-row={row_id(@line)} style={Layout.line_style(@line, @known.lanes)}>
-      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} data-panel={panel.id} data-menu="panel"
-          class={["cell", @selected == {:panel, panel.id} && "selected", @max == panel.id && "maxed"]}
-          style={Layout.cell_style(panel)}>
-        <div class="cell-head">
-          <.drag_handle id={panel.id} kind="cell" />
-          <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}
+    <div class={["part part-tabs", maxed_class(@part, @max)]} id={"part-" <> @part.id} data-part={@part.id}
+        style={@style}>
+      <div class="tab-strip">
+        <div class="tab-list" role="tablist" aria-label="Panels" id={"tabs-" <> @part.id} phx-hook="Tabs">
+          <button :for={panel <- @panels} class="tab" type="button" role="tab" id={"tab-" <> panel.id}
+              aria-selected={to_string(panel.id == @active.id)}
+              tabindex={if panel.id == @active.id, do: "0", else: "-1"}
+              aria-controls={panel.id == @active.id && "panel-" <> panel.id} draggable="true" data-drag={panel.id}
+              phx-click="select_tab" phx-value-id={panel.id}
               title={stream_names(panel)}><.panel_title vis={panel.vis} /></button>
-          <.maximise_button panel={panel} max={@max} />
-          <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove"
-              aria-label={"Remove " <> stream_names(panel)}><.icon name={:close} /></button>
         </div>
-        <div class="cell-body"><div id={body_id(panel)} class="panel-body" phx-hook="Panel" phx-update="ignore"
-            role="group" aria-label={stream_names(panel)} data-kind={panel.panel}
-            data-config={encode_config(panel, @known)}></div></div>
+        <.drag_handle id={@active.id} />
+        <.maximise_button panel={@active} max={@max} />
+        <button class="mini" type="button" phx-click="select_panel" phx-value-id={@active.id} title="Properties"
+            aria-label={"Properties of " <> stream_names(@active)}><.icon name={:tune} /></button>
+        <.close_button panel={@active} />
       </div>
-      <.resize_handle row={row_id(@line)} line={@line} known={@known} />
-    </section>
+      <.panel_box page={@page} part={@shown} style="flex: 1 1 0" tab />
+    </div>
     """
+  end
+
+  defp names_in(part, layout) do
+    Enum.map_join(Tree.panel_ids(part), ", ", &stream_names(Layout.find_panel(layout, &1)))
   end
 
   # Shows the full name of a single stream, and short distinct names of several streams.
   defp panel_title(%{vis: [_one]} = assigns), do: ~H"<bdi>{stream_names(%{vis: @vis})}</bdi>"
-  defp panel_title(assigns), do: ~H"{@vis |> short_names() |> Enum.join(\", \")}"
+  defp panel_title(assigns), do: ~H"{@vis |> PanelConfig.short_names() |> Enum.join(\", \")}"
 
   # The id contains the panel's kind, so that the page creates a new element when the kind changes.
   defp body_id(panel), do: "body-#{panel.id}-#{panel.panel}"
-
-  # Renders the lower edge of a row. Dragging it sets the row's height.
-  defp resize_handle(assigns) do
-    ~H"""
-    <div class="resize" id={"resize-" <> @row} phx-hook="Resize" tabindex="0" role="separator"
-        aria-orientation="horizontal" aria-label={"Height of " <> Enum.map_join(@line, ", ", &stream_names/1)}
-        aria-valuenow={Layout.line_height(@line, @known.lanes)} aria-valuemin="28" aria-valuemax="2000"></div>
-    """
-  end
 
   defp maximise_button(assigns) do
     ~H"""
@@ -128,130 +241,20 @@ defmodule Situ.Studio.Web.Panels do
     """
   end
 
-  defp panel_tools(assigns) do
+  defp close_button(assigns) do
     ~H"""
-    <div class="panel-tools" role="toolbar" aria-label={stream_names(@panel)}>
-      <.drag_handle id={@panel.id} kind="line" />
-      <.maximise_button panel={@panel} max={@max} />
-      <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
-          aria-label={"Properties of " <> stream_names(@panel)}><.icon name={:tune} /></button>
-      <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove"
-          aria-label={"Remove " <> stream_names(@panel)}><.icon name={:close} /></button>
-    </div>
+    <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove"
+        aria-label={"Remove " <> stream_names(@panel)}><.icon name={:close} /></button>
     """
   end
 
   defp drag_handle(assigns) do
     ~H"""
-    <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-id={@id}
-        data-grip={@kind}
-        title={"Move: drag, or use the " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")}
-        aria-label="Move this panel with the arrow keys"><.icon name={:grip} /></button>
+    <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-drag={@id}
+        title="Move: drag, or use the arrow keys" aria-label="Move this panel with the arrow keys"
+        ><.icon name={:grip} /></button>
     """
   end
 
-  defp row_id([panel | _]), do: panel.row || panel.id
-
   defp stream_names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
-
-  @doc "Returns the panel's configuration for the page's script, as JSON."
-  @spec encode_config(Layout.Panel.t(), map()) :: String.t()
-  def encode_config(panel, known) do
-    short = short_names(panel.vis)
-    colors = StreamColors.assign_colors(Enum.map(panel.vis, & &1.stream), known.colors)
-
-    vis =
-      for {v, index} <- Enum.with_index(panel.vis) do
-        viz = find_visualizer(v, known)
-
-        %{
-          "viz" => v.viz,
-          "draw" => drawer_id(viz),
-          "script" => script_config(viz),
-          "asked" => server_props(viz, v.props),
-          "stream" => v.stream,
-          "path" => v.path,
-          "name" => v.stream <> v.path,
-          "short" => Enum.at(short, index),
-          "props" => v.props,
-          "ends" => known.coverage[v.stream],
-          "color" => Enum.at(colors, index)
-        }
-      end
-
-    axis =
-      case panel.axis do
-        {min, max} -> %{"mode" => "fixed", "min" => min, "max" => max}
-        :own -> %{"mode" => "own"}
-        nil -> nil
-      end
-
-    threshold = with {side, value} <- panel.threshold, do: %{"side" => side, "value" => value}
-
-    Situ.JSON.encode(%{"vis" => vis, "axis" => axis, "threshold" => threshold})
-  end
-
-  # Shortens each name to its last segment if that distinguishes the panel's streams.
-  defp short_names(vis), do: Enum.zip_with(vis, unmarked_names(vis), &mark_compared/2)
-
-  # A stream of the compared recording has the same name as its counterpart, with a mark.
-  defp mark_compared(%{stream: stream}, name),
-    do: if(Comparison.compared_stream?(stream), do: "⇄ " <> name, else: name)
-
-  defp unmarked_names(vis) do
-    {own, compared} = Enum.split_with(vis, &(not Comparison.compared_stream?(&1.stream)))
-    short = Map.merge(index_short_names(own), index_short_names(compared))
-    Enum.map(vis, &short[{&1.stream, &1.path}])
-  end
-
-  defp index_short_names(vis),
-    do: vis |> Enum.map(&{&1.stream, &1.path}) |> Enum.zip(unique_suffixes(vis)) |> Map.new()
-
-  defp unique_suffixes(vis) do
-    last = Enum.map(vis, &((&1.stream |> split_name() |> List.last()) <> &1.path))
-
-    for {v, name} <- Enum.zip(vis, last) do
-      if Enum.count(last, &(&1 == name)) == 1,
-        do: name,
-        else: (v.stream |> split_name() |> Enum.take(-2) |> Enum.join(".")) <> v.path
-    end
-  end
-
-  # A "." in an expression does not separate segments of a name.
-  defp split_name("= " <> _ = stream), do: [stream]
-  defp split_name(stream), do: String.split(stream, ".")
-
-  # A stream that does not exist (yet) is drawn as its layout specifies, because it may appear later.
-  defp find_visualizer(vis, %{shapes: shapes, extra: extra}) do
-    with :error <-
-           Visualizers.fetch_for_path(
-             vis.viz,
-             vis.path,
-             Map.get(shapes, vis.stream, :value),
-             extra
-           ),
-         :error <- Visualizers.fetch_by_id(vis.viz, extra),
-         do: vis.viz,
-         else: ({:ok, viz} -> viz)
-  end
-
-  defp drawer_id(%Visualizer{drawer: drawer}), do: drawer
-  defp drawer_id(id), do: id
-
-  # Returns the URL and the options of a plug-in's script.
-  defp script_config(%Visualizer{script: url} = viz) when url != nil,
-    do: %{"url" => url, "plugin" => viz.plugin, "options" => option_defaults(viz)}
-
-  defp script_config(_), do: nil
-
-  defp option_defaults(viz),
-    do: for({key, option} <- viz.options, into: %{}, do: {key, option[:default]})
-
-  # Returns the properties that affect the data that the server sends.
-  defp server_props(%Visualizer{asks: [_ | _] = asks}, props) do
-    keys = Enum.map(asks, &Atom.to_string/1)
-    Map.take(props, keys)
-  end
-
-  defp server_props(_, _), do: nil
 end

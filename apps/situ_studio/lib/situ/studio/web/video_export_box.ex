@@ -74,7 +74,7 @@ defmodule Situ.Studio.Web.VideoExportBox do
 
   # Uses the first audio stream that is shown, or else the only one in the recording.
   defp find_audio_stream(%{layout: layout, shapes: shapes}) do
-    shown = for panel <- layout.rows, v <- panel.vis, shapes[v.stream] == :audio, do: v.stream
+    shown = for panel <- layout.panels, v <- panel.vis, shapes[v.stream] == :audio, do: v.stream
     all = for {name, :audio} <- shapes, do: name
 
     case {shown, all} do

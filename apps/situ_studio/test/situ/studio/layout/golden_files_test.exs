@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layout.GoldenFilesTest do
   # Parses the layouts of test/golden, which every later version must be able to read.
   use ExUnit.Case, async: true
-  alias Situ.Studio.Layout.{Json, Panel, Visualization}
+  alias Situ.Studio.Layout.{Json, Panel, Tree, Visualization}
 
   @files Path.wildcard(Path.expand("../../../../../../test/golden/*/layout.json", __DIR__))
 
@@ -15,10 +15,13 @@ defmodule Situ.Studio.Layout.GoldenFilesTest do
       assert layout.name == "golden"
 
       assert [
-               %Panel{id: "p1", panel: :plot, height: 120, vis: [line]} = plot,
-               %Panel{panel: :image, row: "r1"},
-               %Panel{panel: :value, row: "r1"}
-             ] = layout.rows
+               %Panel{id: "p1", panel: :plot, vis: [line]} = plot,
+               %Panel{panel: :image},
+               %Panel{panel: :value}
+             ] = layout.panels
+
+      assert [:column, "p1", [:row, _, _]] = Tree.to_list(layout.tree)
+      assert Tree.find(layout.tree, "p1").size == 120
 
       assert {plot.axis, plot.threshold} == {{-1.5, 40}, {:above, 30}}
       assert %Visualization{viz: "line", stream: "Floats", props: props} = line

@@ -53,7 +53,7 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
     assert StreamInfo.shape_of_type(GeoPoint) == :place
     assert StreamInfo.shape_of(%{"latitude" => 1, "longitude" => 2, "altitude" => 3}) == :place
     streams = for name <- ["a", "b"], do: %StreamInfo{name: name, shape: :place}
-    assert [%{panel: :map, vis: [_, _]}] = Layout.Auto.build_layout(streams).rows
+    assert [%{panel: :map, vis: [_, _]}] = Layout.Auto.build_layout(streams).panels
   end
 
   @tag :tmp_dir

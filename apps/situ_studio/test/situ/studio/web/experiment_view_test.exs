@@ -190,7 +190,7 @@ defmodule Situ.Studio.Web.ExperimentViewTest do
     {:ok, layout} = Link.decode(params["edit"])
 
     assert [%{panel: :plot, vis: [%{stream: "Room.Level"}]}, %{panel: :lanes, vis: vis}] =
-             layout.rows
+             layout.panels
 
     assert Enum.map(vis, & &1.stream) == ["Difference.Speaking", "Difference.Differences"]
   end

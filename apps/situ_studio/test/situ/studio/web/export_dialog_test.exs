@@ -78,7 +78,7 @@ defmodule Situ.Studio.Web.ExportDialogTest do
     page = studio(folder)
     Page.send_event(page, "remove_panel", %{"id" => "p1"})
     {:ok, layout} = page |> Page.get_attribute("#studio", "data-edit") |> Link.decode()
-    [%{vis: [%{stream: shown}]}] = layout.rows
+    [%{vis: [%{stream: shown}]}] = layout.panels
     Page.send_event(page, "export_dialog", @part)
     Page.submit(page, "#export-save", %{"name" => "start", "streams" => "shown"})
     assert saved(page)

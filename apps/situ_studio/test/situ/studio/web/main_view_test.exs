@@ -98,7 +98,7 @@ defmodule Situ.Studio.Web.MainViewTest do
     Page.send_event(page, "add_viz", %{"stream" => "Mic.Level", "viz" => "line"})
     code = edit(page)
     {:ok, layout} = Link.decode(code)
-    panel = List.last(layout.rows)
+    panel = List.last(layout.panels)
     assert [%{stream: "Mic.Level", viz: "line"}] = panel.vis
 
     props = %{"width" => "3", "color" => "red; x", "visible" => "true"}
@@ -123,7 +123,7 @@ defmodule Situ.Studio.Web.MainViewTest do
     page = open(studio)
     Page.send_event(page, "add_viz", %{"stream" => "Depth", "viz" => "depth"})
 
-    id = for(%{vis: [%{viz: "depth"}], id: id} <- layout(page).rows, do: id) |> List.last()
+    id = for(%{vis: [%{viz: "depth"}], id: id} <- layout(page).panels, do: id) |> List.last()
 
     vis = fn -> Layout.find_panel(layout(page), id).vis end
 
@@ -161,7 +161,7 @@ defmodule Situ.Studio.Web.MainViewTest do
     page = open(studio)
     Page.send_event(page, "plot_path", %{"stream" => "<b>x</b>", "path" => ".a"})
     {:ok, layout} = Link.decode(edit(page))
-    assert %{panel: :plot, vis: [%{path: ".a", viz: "line"}]} = List.last(layout.rows)
+    assert %{panel: :plot, vis: [%{path: ".a", viz: "line"}]} = List.last(layout.panels)
     Page.send_event(page, "plot_path", %{"stream" => "<b>x</b>", "path" => "nonsense"})
     assert [%{"text" => text}] = Page.take_pushed_events(page, "toast")
     assert text =~ "invalid path"
@@ -266,7 +266,7 @@ defmodule Situ.Studio.Web.MainViewTest do
   test "a threshold covers one side of a value, and is in the link", %{studio: studio} do
     page = open(studio)
     Page.send_event(page, "add_viz", %{"stream" => "Mic.Level", "viz" => "line"})
-    %{id: id} = layout(page).rows |> Enum.filter(&(&1.panel == :plot)) |> List.last()
+    %{id: id} = layout(page).panels |> Enum.filter(&(&1.panel == :plot)) |> List.last()
     set = &Page.send_event(page, "threshold", %{"panel" => id, "side" => &1, "value" => &2})
     threshold = fn -> Layout.find_panel(layout(page), id).threshold end
     set.("above", "0.5")
