@@ -115,7 +115,10 @@ defmodule Situ.Operator.Chain do
 
   defp run_parts(chain, columns, till, before) do
     {part, rest} = Batch.split(columns, @unpacked_together)
-    with {path, _all} <- Process.get(:situ_handling), do: Process.put(:situ_handling, {path, part})
+
+    with {path, _all} <- Process.get(:situ_handling),
+         do: Process.put(:situ_handling, {path, part})
+
     {results, chain, outcome} = run_batch(chain, part, till)
     before = [results | before]
 

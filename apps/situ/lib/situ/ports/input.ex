@@ -276,9 +276,9 @@ defmodule Situ.Ports.Input do
     do: %{input | handled: {handled + n, now - time, time, requested}}
 
   @doc """
-  Publishes the counts, with `each` ns for a message, and sends demand to the producer when enough is owed. The component
-  still works on the last messages of `progress`, `{their number, time of the last finished message or nil}`: a process
-  that replaces this one receives them again.
+  Publishes the counts, with `each` ns for a message, and sends demand to the producer when enough is owed. The
+  component still works on the last messages of `progress`, `{their number, time of the last finished message or nil}`:
+  a process that replaces this one receives them again.
   """
   @spec publish_counts(t(), integer(), {non_neg_integer(), Situ.Time.t() | nil}) :: t()
   def publish_counts(

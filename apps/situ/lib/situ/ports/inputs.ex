@@ -14,8 +14,8 @@ defmodule Situ.Ports.Inputs do
   `tags` are the keys of `by_tag`; traversing a list is cheaper, and most stages have one input. `touched` lists the
   inputs that have changed since the last settling, so that a message does not visit each of thousands of inputs.
   `order` is used for many inputs: the times of their heads in order, and by tag. `closed` holds the names of closed
-  inputs; `told` the inputs whose end the component knew before it was restarted. `in_progress` holds, by tag, how many of
-  the last messages the component still works on, and the time of the last finished message.
+  inputs; `told` the inputs whose end the component knew before it was restarted. `in_progress` holds, by tag, how many
+  of the last messages the component still works on, and the time of the last finished message.
   """
   @type t :: %__MODULE__{
           by_tag: %{term() => Input.t()},

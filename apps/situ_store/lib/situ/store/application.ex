@@ -1,8 +1,8 @@
 defmodule Situ.Store.Application do
   @moduledoc false
   # Supervises the list of open recordings, the indexes of segmented recordings
-  # (`Situ.Store.SegmentedRecording.Index`), and the program for object storage (`Situ.Store.S3.Client`). Each may restart
-  # without the others.
+  # (`Situ.Store.SegmentedRecording.Index`), and the program for object storage (`Situ.Store.S3.Client`). Each may
+  # restart without the others.
   use Application
   alias Situ.Store.{OpenRecordings, S3, Segments}
   alias Situ.Store.SegmentedRecording.Index
