@@ -206,14 +206,15 @@ defmodule Situ.Metric do
     do: build_metric(:speaker_transcript, SpeakerWordScore, "cpwer", opts, @speaker_transcript)
 
   @doc """
-  Measures how long after its originating time each message of `stream:` was created. This needs a replay in real time:
-  an experiment with this metric defines `settings/0` as `[speed: 1.0]`.
+  Measures how long after its originating time each message of `stream:` was created; by default, each message of all
+  streams that `build/3` returns. This needs a replay in real time: an experiment with this metric defines `settings/0`
+  as `[speed: 1.0]`.
   """
   @spec latency(keyword()) :: t()
-  def latency(opts) do
+  def latency(opts \\ []) do
     opts =
       Options.validate!(opts,
-        stream: [type: :string, required: true],
+        stream: [type: {:optional, :string}, default: nil],
         main: [type: {:or, [:atom, :string]}, default: "p95_s"]
       )
 

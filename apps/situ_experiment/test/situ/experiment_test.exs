@@ -300,6 +300,11 @@ defmodule Situ.ExperimentTest do
       Metric.Measurement.measure_all(metrics, measured, 1.0)
 
     assert_in_delta Metric.summarize(metrics[:delay], [counts])["p95_s"], 1.0e-6, 1.0e-12
+
+    # Without a name, all streams count.
+    metrics = [delay: Metric.latency()]
+    assert {:ok, %{"delay" => all}} = Metric.Measurement.measure_all(metrics, measured, 1.0)
+    assert all["counts"] == counts
   end
 
   defmodule NoMetrics do

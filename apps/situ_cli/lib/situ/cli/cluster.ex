@@ -5,25 +5,22 @@ defmodule Situ.CLI.Cluster do
 
   alias Situ.{Cluster, Error}
   alias Situ.Cluster.Identity
-  alias Situ.CLI.{ClusterDeployment, ClusterLogOptions, ClusterNode, Option, Output, Verb}
-
-  @node Option.new(:node, :string, "a node of the cluster, as situ-9301@10.0.0.1", value: "NODE")
-  @folder Option.new(
-            :identity,
-            :path,
-            "the cluster's cookie and certificates (default: SITU_CLUSTER, ~/.config/situ/cluster)"
-          )
+  alias Situ.CLI.{ClusterConnection, ClusterDeployment, ClusterLogOptions, ClusterNode}
+  alias Situ.CLI.{Option, Output, Verb}
 
   @leave_ms 10_000
 
   @impl true
   def verbs do
+    folder = ClusterConnection.folder_option()
+    connection = ClusterConnection.options()
+
     [
       %Verb{
         words: ["cluster", "init"],
         summary:
           "create a cluster's cookie, certificates and NATS login, to be copied to every machine",
-        options: [@folder],
+        options: [folder],
         examples: ["situ cluster init"],
         run: fn _, opts -> create_identity(opts) end
       },
@@ -55,7 +52,7 @@ defmodule Situ.CLI.Cluster do
             many?: true
           ),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
-          @folder
+          folder
           | ClusterLogOptions.log_options()
         ],
         examples: ["situ cluster join situ-9301@127.0.0.1 --log /var/lib/situ/log --label camera"],
@@ -64,17 +61,21 @@ defmodule Situ.CLI.Cluster do
       %Verb{
         words: ["cluster", "status"],
         summary: "show nodes, deployments, and which node runs which part",
-        options: [@node, @folder],
+        options: connection,
         examples: ["situ cluster status --node situ-9301@127.0.0.1"],
         run: fn _, opts -> show_status(opts) end
       }
-      | ClusterDeployment.deployment_verbs([@node, @folder], &call_node/4) ++
-          ClusterNode.node_verbs([@node, @folder], &call_node/4, &identity_folder/1)
+      | ClusterDeployment.deployment_verbs(connection, &ClusterConnection.call_node/4) ++
+          ClusterNode.node_verbs(
+            connection,
+            &ClusterConnection.call_node/4,
+            &ClusterConnection.identity_folder/1
+          )
     ]
   end
 
   defp create_identity(opts) do
-    folder = identity_folder(opts)
+    folder = ClusterConnection.identity_folder(opts)
     Error.unwrap!(Identity.create(folder))
 
     Output.puts(
@@ -97,7 +98,7 @@ defmodule Situ.CLI.Cluster do
 
     for file <- opts[:require], do: Code.require_file(file)
     {:ok, _} = Application.ensure_all_started(:situ_cluster)
-    start_distribution(name, opts)
+    ClusterConnection.start_distribution(name, opts)
 
     for peer <- opts[:peer], Node.connect(String.to_atom(peer)) != true do
       Output.warn("situ cluster: #{peer} is not responding; joining without it")
@@ -107,7 +108,8 @@ defmodule Situ.CLI.Cluster do
 
     settings = [
       log: log,
-      log_options: ClusterLogOptions.connect_options(log, opts, identity_folder(opts)),
+      log_options:
+        ClusterLogOptions.connect_options(log, opts, ClusterConnection.identity_folder(opts)),
       labels: opts[:label],
       devices: opts[:device],
       recordings: recordings
@@ -163,10 +165,11 @@ defmodule Situ.CLI.Cluster do
   defp ensure_joined(answer), do: answer
 
   defp show_status(opts) do
-    info = call_node(opts, Cluster.Agent, :info, [])
+    info = ClusterConnection.call_node(opts, Cluster.Agent, :info, [])
 
     deployments =
-      for d <- info.deployments, do: {d.name, call_node(opts, Cluster, :status, [d]).parts}
+      for d <- info.deployments,
+          do: {d.name, ClusterConnection.call_node(opts, Cluster, :status, [d]).parts}
 
     if opts[:json] do
       Output.print_json(%{
@@ -204,67 +207,5 @@ defmodule Situ.CLI.Cluster do
       checkpoints: get_in(info, [:checkpoints, :taken]) || 0,
       messages: streams |> Map.values() |> Enum.map(& &1.messages) |> Enum.sum()
     }
-  end
-
-  # Calls a function on the given node, from a VM that is not a member of the cluster.
-  defp call_node(opts, module, function, args) do
-    node =
-      opts[:node] ||
-        raise Error.new(:usage, "no node given", fix: "give --node situ-9301@10.0.0.1")
-
-    unless Node.alive?(), do: start_distribution("situ_cli_#{System.pid()}@127.0.0.1", opts)
-    node = String.to_atom(node)
-
-    unless :net_kernel.hidden_connect_node(node) == true do
-      raise Error.new(:unreachable, "#{node} is not responding",
-              why: "it is not running, or uses a different cookie or different certificates",
-              fix:
-                "check the name, and that both nodes use the same folder of `situ cluster init`"
-            )
-    end
-
-    try do
-      :erpc.call(node, module, function, args, 120_000)
-    catch
-      :error, {:erpc, reason} ->
-        raise Error.new(:unreachable, "lost the connection to #{node}: #{inspect(reason)}")
-
-      :exit, _ ->
-        raise Error.new(:no_member, "#{node} is not a member of a cluster",
-                fix: "see `situ cluster join`"
-              )
-    end
-  end
-
-  # The node listens only on the host in its name.
-  defp start_distribution(name, opts) do
-    cookie = Error.unwrap!(Identity.read_cookie(identity_folder(opts)))
-
-    with [_, host] <- String.split(name, "@", parts: 2),
-         {:ok, ip} <- :inet.getaddr(to_charlist(host), :inet) do
-      Application.put_env(:kernel, :inet_dist_use_interface, ip)
-    else
-      _ ->
-        raise Error.new(:usage, "invalid node name: #{name}",
-                fix: "write it like situ-9301@10.0.0.1"
-              )
-    end
-
-    case Node.start(String.to_atom(name), :longnames) do
-      {:ok, _} ->
-        Node.set_cookie(cookie)
-
-      {:error, reason} ->
-        raise Error.new(
-                :no_distribution,
-                "cannot start node #{name}: #{inspect(reason, limit: 20)}",
-                fix: "check that its port is free"
-              )
-    end
-  end
-
-  defp identity_folder(opts) do
-    opts[:identity] || System.get_env("SITU_CLUSTER") ||
-      Path.join(System.get_env("XDG_CONFIG_HOME") || Path.expand("~/.config"), "situ/cluster")
   end
 end

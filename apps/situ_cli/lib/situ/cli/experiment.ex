@@ -3,7 +3,7 @@ defmodule Situ.CLI.Experiment do
   # The verbs of `situ experiment`: run a pipeline with many parameters over a dataset, and look at the results.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.Experiment.{Checking, Running, Viewing}
-  alias Situ.CLI.{Option, Verb}
+  alias Situ.CLI.{ClusterConnection, Option, Verb}
 
   @dataset [kind: :file, doc: "a dataset file"]
   @file_argument [kind: :file, doc: "FILE.exs with the experiment, or the name of a module"]
@@ -18,14 +18,15 @@ defmodule Situ.CLI.Experiment do
         FILE defines a module with `use Situ.Experiment`. Every result is written before the next one begins, so the
         same command continues a run that was stopped or killed. Results whose code, parameters and recordings have not
         changed are not computed again. The folder DATASET.experiments contains the results.
+
+        With --cluster, the nodes of `situ cluster join` compute the results. They get the code of the experiment, and
+        recordings that they do not have under the same path. A node with other code of Situ does not take part.
         """,
         arguments: [file: @file_argument, dataset: @dataset],
         options:
           session_options() ++
             [
-              Option.new(:jobs, :integer, "the number of results to compute in parallel",
-                default: 1
-              ),
+              jobs_option(),
               Option.new(
                 :method,
                 ["grid", "random", "halving"],
@@ -40,9 +41,10 @@ defmodule Situ.CLI.Experiment do
                 "show the experiment in the browser while it runs, and until Ctrl-C"
               ),
               top_option()
-            ],
+            ] ++ cluster_options(),
         examples: [
           "situ experiment run tune.exs study.json --jobs 2",
+          "situ experiment run tune.exs study.json --cluster --node situ-9301@10.0.0.1",
           "situ experiment run tune.exs study.json --where \"contains(tags, 'noisy')\" --method halving"
         ],
         run: &Running.run_experiment/2
@@ -137,7 +139,8 @@ defmodule Situ.CLI.Experiment do
           Option.new(:bisect, :string, "find the commit after GOOD that made the metric fall",
             value: "GOOD"
           ),
-          Option.new(:jobs, :integer, "the number of results to compute in parallel", default: 1)
+          jobs_option()
+          | cluster_options()
         ],
         examples: [
           "situ experiment check tune.exs study.json --baseline baseline.json",
@@ -162,6 +165,23 @@ defmodule Situ.CLI.Experiment do
         examples: ["situ experiment reproduce study.json 20260131-120000 --set 7"],
         run: &Checking.reproduce_run/2
       }
+    ]
+  end
+
+  defp jobs_option do
+    Option.new(
+      :jobs,
+      :integer,
+      "the number of results to compute in parallel; with --cluster, on each node",
+      default: 1
+    )
+  end
+
+  defp cluster_options do
+    [
+      Option.new(:cluster, :flag, "compute on the nodes of a cluster; needs --node"),
+      Option.new(:label, :string, "with --cluster: only on nodes with this label", many?: true)
+      | ClusterConnection.options()
     ]
   end
 

@@ -128,6 +128,19 @@ defmodule Situ.CLI.ExperimentTest do
     result
   end
 
+  test "options of a cluster that do not fit are errors", context do
+    %{tune: file, study: study, tmp_dir: root} = context
+    assert fails(["run", file, study, "--cluster"]) =~ "give --node"
+    usage = fn words -> capture_io(:stderr, fn -> assert elem(run(words), 0) == 2 end) end
+    assert usage.(["run", file, study, "--label", "gpu"]) =~ "need --cluster"
+    {0, _} = with_warnings(fn -> run(["run", file, study]) end)
+    base = Path.join(root, "base.json")
+    {0, _} = run(["promote", study, "-o", base])
+    check = ["check", file, study, "--baseline", base, "--node", "situ-1@127.0.0.1"]
+    assert usage.(check) =~ "need --cluster"
+    assert usage.(check ++ ["--cluster", "--bisect", "HEAD"]) =~ "runs here"
+  end
+
   test "files without an experiment, and runs that do not exist, are errors", context do
     %{study: study, tmp_dir: root, tune: file} = context
     other = Path.join(root, "other.exs")

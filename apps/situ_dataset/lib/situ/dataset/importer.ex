@@ -23,10 +23,17 @@ defmodule Situ.Dataset.Importer do
           importers: %{String.t() => Store.Importer.t()}
         }
 
-  @doc "Opens the session while the pipeline is built. Takes the options of `Situ.Store.importer/3`."
-  @spec open(Pipeline.t(), Session.t(), keyword()) :: t()
-  def open(%Situ.Graph.Handle{} = p, %Session{} = session, opts \\ []) do
-    open = OpenSession.open(session, Keyword.take(opts, [:verify]))
+  @doc """
+  Opens the session while the pipeline is built, or takes one that is already open. Takes the options of
+  `Situ.Store.importer/3`.
+  """
+  @spec open(Pipeline.t(), Session.t() | OpenSession.t(), keyword()) :: t()
+  def open(p, session, opts \\ [])
+
+  def open(%Situ.Graph.Handle{} = p, %Session{} = session, opts),
+    do: open(p, OpenSession.open(session, Keyword.take(opts, [:verify])), opts)
+
+  def open(%Situ.Graph.Handle{} = p, %OpenSession{} = open, opts) do
     importers = Map.new(open.stores, fn {name, s} -> {name, Store.importer(p, s, opts)} end)
     %__MODULE__{pipeline: p, session: open, importers: importers}
   end

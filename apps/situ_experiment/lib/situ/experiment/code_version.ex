@@ -15,13 +15,31 @@ defmodule Situ.Experiment.CodeVersion do
 
   @type t :: %__MODULE__{table: :ets.table(), binaries: %{module() => binary()}}
 
+  @typedoc "The hashes of modules and files, to compare them on another node."
+  @type parts :: %{
+          modules: %{module() => String.t()},
+          assets: [{String.t(), String.t()}],
+          files: [{Path.t(), String.t()}]
+        }
+
   @doc """
   Begins a calculation. `binaries` are the modules that were compiled from a file, which are not on disk. The calling
   process owns the table that remembers results.
   """
   @spec new(%{module() => binary()}) :: t()
-  def new(binaries \\ %{}),
-    do: %__MODULE__{table: :ets.new(:code_version, [:public]), binaries: binaries}
+  def new(binaries \\ %{}) do
+    table = :ets.new(:code_version, [:public])
+    :ets.insert(table, for({module, path} <- list_beams(), do: {{:beam, module}, path}))
+    :ets.insert(table, for({module, own?} <- list_known_modules(), do: {{:known, module}, own?}))
+    %__MODULE__{table: table, binaries: binaries}
+  end
+
+  # The search of the code server takes a millisecond for each module. The first folder of the path counts.
+  defp list_beams do
+    for folder <- Enum.reverse(:code.get_path()),
+        path <- ResultsFile.list_files(to_string(folder), ".beam"),
+        do: {Path.basename(path, ".beam"), path}
+  end
 
   @doc "Returns the hash of the code that `module.function` depends on, in hexadecimal digits."
   @spec hash_function(t(), module(), atom()) :: String.t()
@@ -42,8 +60,7 @@ defmodule Situ.Experiment.CodeVersion do
     atoms = collect_atoms(values, MapSet.new())
     modules = code |> collect_modules(atoms, MapSet.new()) |> Enum.sort()
 
-    files =
-      for {_, v} <- values, is_binary(v), String.valid?(v), File.regular?(v), do: hash_file(v)
+    files = for {_, v} <- values, file?(v), do: hash_file(v)
 
     hashes = Enum.map(modules, &module_hash(code, &1))
     hash_term({Enum.sort(values), hashes, asset_hashes(code, modules), files})
@@ -59,6 +76,44 @@ defmodule Situ.Experiment.CodeVersion do
         path =~ "/models/",
         into: %{},
         do: {path, hash}
+  end
+
+  @doc """
+  Returns the modules and files that the functions of a module and its parameters (`parameters/0`) depend on.
+  """
+  @spec list_parts(t(), module(), [atom()], keyword()) :: parts()
+  def list_parts(%__MODULE__{} = code, module, functions, parameters) do
+    reached = for f <- functions, {_, atoms} = reachable_code(code, module, f), do: atoms
+    atoms = Enum.reduce(reached, collect_atoms(parameters, MapSet.new()), &MapSet.union/2)
+    modules = collect_modules(code, atoms, MapSet.new([module]))
+
+    %{
+      modules: Map.new(modules, &{&1, module_hash(code, &1)}),
+      assets: asset_hashes(code, modules),
+      files: list_parameter_files(parameters)
+    }
+  end
+
+  defp list_parameter_files(parameters) do
+    for {_, values} <- parameters,
+        is_list(values),
+        path <- values,
+        file?(path),
+        do: {path, hash_file(path)}
+  end
+
+  defp file?(value), do: is_binary(value) and String.valid?(value) and File.regular?(value)
+
+  @doc "Returns the names of the parts that are different or missing here, sorted."
+  @spec find_differences(t(), parts()) :: [String.t()]
+  def find_differences(%__MODULE__{} = code, %{modules: modules} = parts) do
+    own_assets = asset_hashes(code, Map.keys(modules))
+    assets = for {name, _} = asset <- parts.assets, asset not in own_assets, do: name
+    files = for {path, hash} <- parts.files, not file?(path) or hash_file(path) != hash, do: path
+
+    # The code that was loaded first runs, even if its file has changed since.
+    different = for {m, hash} <- modules, loaded_hash(m) != hash, do: inspect(m)
+    Enum.sort(different ++ assets ++ files)
   end
 
   @doc """
@@ -95,7 +150,8 @@ defmodule Situ.Experiment.CodeVersion do
   defp reachable_code(code, module, function) do
     remember(code, {:reachable, module, function}, fn ->
       with {:ok, beam} <- find_beam(code, module),
-           {:ok, definitions} <- read_definitions(beam, module) do
+           {:ok, bytes} <- read_beam(beam),
+           {:ok, definitions} <- read_definitions(bytes, module) do
         clauses = reach_definitions([function], definitions, %{})
         {clauses, collect_atoms(clauses, MapSet.new())}
       else
@@ -104,9 +160,9 @@ defmodule Situ.Experiment.CodeVersion do
     end)
   end
 
-  defp read_definitions(beam, module) do
+  defp read_definitions(bytes, module) do
     with {:ok, {_, [debug_info: {:debug_info_v1, backend, data}]}} <-
-           :beam_lib.chunks(beam, [:debug_info]),
+           :beam_lib.chunks(bytes, [:debug_info]),
          {:ok, %{definitions: definitions}} <- backend.debug_info(:elixir_v1, module, data, []) do
       {:ok, Enum.group_by(definitions, fn {{name, _}, _, _, _} -> name end, &clean_definition/1)}
     else
@@ -157,33 +213,28 @@ defmodule Situ.Experiment.CodeVersion do
     end)
   end
 
-  # Modules of Elixir and OTP do not count, and neither do atoms that are not modules. The code path is searched only
-  # for names that look like modules of Elixir, because a search takes a millisecond.
+  # Modules of Elixir and OTP do not count, and neither do atoms that are not modules.
   defp counted?(code, atom) do
-    known = remember(code, :known, &list_known_modules/0)
-
-    cond do
-      is_map_key(code.binaries, atom) ->
+    case :ets.lookup(code.table, {:known, atom}) do
+      _ when is_map_key(code.binaries, atom) ->
         true
 
-      is_map_key(known, atom) ->
-        known[atom]
+      [{_, own?}] ->
+        own?
 
-      match?("Elixir." <> _, Atom.to_string(atom)) ->
-        remember(code, {:counted, atom}, fn -> own_file?(code, atom) end)
-
-      true ->
-        false
+      [] ->
+        elixir_module?(atom) and remember(code, {:counted, atom}, fn -> own_file?(code, atom) end)
     end
   end
+
+  defp elixir_module?(atom), do: match?("Elixir." <> _, Atom.to_string(atom))
 
   # The modules of all loaded applications, and whether they count.
   defp list_known_modules do
     for {app, _, _} <- Application.loaded_applications(),
-        counted? = not platform_app?(app),
+        own? = not platform_app?(app),
         module <- Application.spec(app, :modules) || [],
-        into: %{},
-        do: {module, counted?}
+        do: {module, own?}
   end
 
   defp platform_app?(app) do
@@ -215,21 +266,34 @@ defmodule Situ.Experiment.CodeVersion do
   defp find_beam(%{binaries: binaries}, module) when is_map_key(binaries, module),
     do: {:ok, binaries[module]}
 
-  defp find_beam(_code, module) do
-    case :code.which(module) do
-      [_ | _] = path -> if File.regular?(path), do: {:ok, List.to_string(path)}, else: :error
-      _ -> :error
+  defp find_beam(code, module) do
+    case :code.is_loaded(module) do
+      {:file, [_ | _] = path} -> if File.regular?(path), do: {:ok, to_string(path)}, else: :error
+      {:file, _} -> :error
+      false -> find_file(code, module)
     end
   end
 
+  defp find_file(code, module) do
+    case :ets.lookup(code.table, {:beam, Atom.to_string(module)}) do
+      [{_, path}] -> {:ok, path}
+      [] -> :error
+    end
+  end
+
+  defp module_hash(code, module), do: code |> read_module(module) |> elem(0)
+  defp module_atoms(code, module), do: code |> read_module(module) |> elem(1)
+
   # A module that another program compiled in memory has no file, but its loaded code has a hash.
-  defp module_hash(code, module) do
-    remember(code, {:hash, module}, fn ->
+  defp read_module(code, module) do
+    remember(code, {:module, module}, fn ->
       with {:ok, beam} <- find_beam(code, module),
-           {:ok, {_, md5}} <- :beam_lib.md5(to_beam(beam)) do
-        Base.encode16(md5, case: :lower)
+           {:ok, bytes} <- read_beam(beam),
+           {:ok, {_, md5}} <- :beam_lib.md5(bytes),
+           {:ok, {_, [atoms: atoms]}} <- :beam_lib.chunks(bytes, [:atoms]) do
+        {Base.encode16(md5, case: :lower), for({_, atom} <- atoms, do: atom)}
       else
-        _ -> loaded_hash(module)
+        _ -> {loaded_hash(module), []}
       end
     end)
   end
@@ -240,38 +304,33 @@ defmodule Situ.Experiment.CodeVersion do
       else: "unknown"
   end
 
-  defp module_atoms(code, module) do
-    remember(code, {:atoms, module}, fn ->
-      with {:ok, beam} <- find_beam(code, module),
-           {:ok, {_, [atoms: atoms]}} <- :beam_lib.chunks(to_beam(beam), [:atoms]) do
-        for {_, atom} <- atoms, do: atom
-      else
-        _ -> []
-      end
-    end)
-  end
-
-  # A path is a charlist for `:beam_lib`, and a binary is the module itself.
-  defp to_beam("FOR1" <> _ = binary), do: binary
-  defp to_beam(path), do: String.to_charlist(path)
+  defp read_beam("FOR1" <> _ = binary), do: {:ok, binary}
+  defp read_beam(path), do: File.read(path)
 
   # Native libraries and models are code, too.
   defp asset_hashes(code, modules) do
-    apps = for m <- modules, app = :application.get_application(m), app != :undefined, do: app
-    apps |> Enum.uniq() |> Enum.sort() |> Enum.flat_map(&app_assets(code, &1))
+    folders = for m <- modules, folder = app_folder(code, m), do: folder
+    folders |> Enum.uniq() |> Enum.sort() |> Enum.flat_map(&app_assets(code, &1))
   end
 
-  defp app_assets(code, {:ok, app}) do
-    remember(code, {:assets, app}, fn ->
-      case :code.priv_dir(app) do
-        {:error, _} ->
-          []
+  # The application of a module need not be loaded.
+  defp app_folder(code, module) do
+    with {:ok, path} <- find_beam(code, module),
+         false <- match?("FOR1" <> _, path) do
+      path |> Path.dirname() |> Path.dirname()
+    else
+      _ -> nil
+    end
+  end
 
-        priv ->
-          for {folder, ending} <- [{"native", ".so"}, {"models", ".onnx"}],
-              file <- ResultsFile.list_files(Path.join(priv, folder), ending),
-              do: {"#{app}/#{folder}/#{Path.basename(file)}", hash_file(file)}
-      end
+  # The folder of an application ends with its version in a release.
+  defp app_assets(code, app_folder) do
+    remember(code, {:assets, app_folder}, fn ->
+      app = app_folder |> Path.basename() |> String.replace(~r/-[\d.]+[^-]*\z/, "")
+
+      for {folder, ending} <- [{"native", ".so"}, {"models", ".onnx"}],
+          file <- ResultsFile.list_files(Path.join([app_folder, "priv", folder]), ending),
+          do: {"#{app}/#{folder}/#{Path.basename(file)}", hash_file(file)}
     end)
   end
 

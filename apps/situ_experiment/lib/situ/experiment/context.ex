@@ -4,13 +4,17 @@ defmodule Situ.Experiment.Context do
   alias Situ.Experiment.CodeVersion
 
   @enforce_keys [:module, :folder, :code]
-  defstruct [:module, :folder, :code, :owner]
+  defstruct [:module, :folder, :code, :owner, :peer]
+
+  @typedoc "On a node of a cluster: the node that started the run, and the folder of the results there."
+  @type peer :: %{node: node(), folder: Path.t()}
 
   @type t :: %__MODULE__{
           module: module(),
           folder: Path.t(),
           code: CodeVersion.t(),
-          owner: pid() | nil
+          owner: pid() | nil,
+          peer: peer() | nil
         }
 
   @doc "Returns the speed of the replay."

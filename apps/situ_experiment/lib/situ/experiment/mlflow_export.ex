@@ -110,9 +110,17 @@ defmodule Situ.Experiment.MlflowExport do
       {"mlflow.runName", "#{run["run"]} set #{row.number}"},
       {"situ.sessions", row.sessions},
       {"situ.run", run["run"]},
+      {"situ.machines", join_machines(row)},
       {"mlflow.source.git.commit", commit["id"]}
     ]
     |> Enum.reject(fn {_, value} -> value == nil end)
+  end
+
+  defp join_machines(row) do
+    case Map.get(row, :machines, []) do
+      [] -> nil
+      machines -> Enum.join(machines, ", ")
+    end
   end
 
   # Strings and numbers of JSON are also YAML.

@@ -12,18 +12,39 @@ defmodule Situ.Experiment.Provenance do
       "commit" => file && read_commit(Path.dirname(Path.expand(file))),
       "code" => CodeVersion.hash_function(context.code, context.module, :build),
       "models" => CodeVersion.list_models(context.code, context.module, :build),
-      "versions" => %{
-        "situ" => to_string(Application.spec(:situ, :vsn) || "unknown"),
-        "elixir" => System.version(),
-        "otp" => otp_version()
-      },
-      "machine" => %{
-        "host" => host_name(),
-        "system" => to_string(:erlang.system_info(:system_architecture)),
-        "processor" => read_processor(),
-        "cores" => System.schedulers_online()
-      }
+      "versions" => list_versions(),
+      "machine" => describe_machine()
     }
+  end
+
+  @doc "Returns the versions of Situ, Elixir and OTP."
+  @spec list_versions() :: %{String.t() => String.t()}
+  def list_versions do
+    %{
+      "situ" => to_string(Application.spec(:situ, :vsn) || "unknown"),
+      "elixir" => System.version(),
+      "otp" => otp_version()
+    }
+  end
+
+  @doc "Describes this machine: its name, system, processor and number of cores."
+  @spec describe_machine() :: %{String.t() => String.t() | pos_integer() | nil}
+  def describe_machine do
+    %{
+      "host" => host_name(),
+      "system" => to_string(:erlang.system_info(:system_architecture)),
+      "processor" => read_processor(),
+      "cores" => System.schedulers_online()
+    }
+  end
+
+  @doc "Returns the name and the processor of this machine, as results name it."
+  @spec name_machine() :: String.t()
+  def name_machine do
+    case read_processor() do
+      nil -> host_name()
+      processor -> "#{host_name()} (#{processor})"
+    end
   end
 
   @doc "Returns the names of the parts in which two environments differ, such as `commit` or `versions`."

@@ -58,7 +58,9 @@ defmodule Situ.Experiment.ReportTable do
     [
       "#{run["experiment"]}, run #{run["run"]} (#{run["status"]}): #{count(length(rows), "set")}, " <>
         "#{count(length(run["sessions"]), "session")}, method #{run["method"]}"
-    ] ++ describe_best(best, run["metrics"]) ++ describe_failures(rows)
+    ] ++
+      describe_best(best, run["metrics"]) ++
+      describe_machines(rows, run) ++ describe_failures(rows)
   end
 
   def describe_run([], run), do: ["#{run["experiment"]}, run #{run["run"]}: no sets"]
@@ -77,6 +79,24 @@ defmodule Situ.Experiment.ReportTable do
       "Best set: #{best.number} (#{best.label})",
       "Its worst sessions by #{name}.#{metric["main"]}: #{worst}"
     ]
+  end
+
+  @doc "Returns a sentence that names the machines of computing times and latencies, if the run has such metrics."
+  @spec describe_machines([Summary.row()], map()) :: [String.t()]
+  def describe_machines(rows, run) do
+    names =
+      for %{"kind" => kind, "name" => name} <- run["metrics"],
+          kind in ~w(cost latency),
+          do: name
+
+    machines = for row <- rows, machine <- Map.get(row, :machines, []), uniq: true, do: machine
+
+    case {names, Enum.sort(machines)} do
+      {[], _} -> []
+      {_, []} -> []
+      {_, [machine]} -> ["Machine of #{Enum.join(names, ", ")}: #{machine}"]
+      {_, several} -> ["Machines of #{Enum.join(names, ", ")}: #{Enum.join(several, ", ")}"]
+    end
   end
 
   defp describe_failures(rows) do

@@ -84,11 +84,10 @@ defmodule Situ.Experiment.RunRecord do
   @doc "Marks the runs of this process over a dataset that have not finished as interrupted."
   @spec mark_interrupted(Dataset.t()) :: :ok
   def mark_interrupted(%Dataset{} = dataset) do
-    {:ok, experiments} = experiments_folder(dataset)
-
-    for {folder, %{"status" => "running"} = run} <- list_runs(experiments),
-        run["pid"] == System.pid() do
-      write_run(folder, %{run | "status" => "interrupted"})
+    with {:ok, experiments} <- experiments_folder(dataset) do
+      for {folder, %{"status" => "running"} = run} <- list_runs(experiments),
+          run["pid"] == System.pid(),
+          do: write_run(folder, %{run | "status" => "interrupted"})
     end
 
     :ok

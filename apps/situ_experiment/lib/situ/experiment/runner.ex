@@ -13,6 +13,7 @@ defmodule Situ.Experiment.Runner do
     CodeVersion,
     Context,
     InputStamp,
+    NodePool,
     Plan,
     Provenance,
     ResultsFile,
@@ -25,7 +26,12 @@ defmodule Situ.Experiment.Runner do
 
   @options [
     sessions: [type: {:fun, 1}, doc: "A function that returns whether a session takes part."],
-    jobs: [type: :pos_integer, default: 1, doc: "Number of concurrent sessions."],
+    jobs: [type: :pos_integer, default: 1, doc: "Number of concurrent trials, on each node."],
+    nodes: [type: {:fun, 0}, doc: "Returns the connected nodes that compute the trials."],
+    notify: [
+      type: {:fun, 1},
+      doc: "Called with a sentence when a node joins, is refused or is lost."
+    ],
     method: [type: {:in, [:grid, :random, :halving]}, default: :grid, doc: "The search."],
     trials: [type: :pos_integer, default: 20, doc: "`:random`: the number of sets."],
     seed: [type: :integer, default: 1, doc: "The seed of all random choices."],
@@ -76,6 +82,7 @@ defmodule Situ.Experiment.Runner do
       context: context,
       stamps: stamps,
       run: run,
+      pool: nil,
       listed: MapSet.new(),
       results: ResultsFile.read_results(plan.folder),
       total: run["total"],
@@ -85,16 +92,26 @@ defmodule Situ.Experiment.Runner do
       began: System.monotonic_time(:millisecond)
     }
 
-    with :ok <- RunRecord.write_run(plan.folder, run) do
-      state = run_method(plan.opts[:method], state)
-      run = finish_run(state)
-      with :ok <- RunRecord.write_run(plan.folder, run), do: {:ok, {plan.folder, run}}
-    end
+    with {:ok, pool} <- connect_nodes(context, plan.opts),
+         state = put_pool(state, pool),
+         :ok <- RunRecord.write_run(plan.folder, state.run),
+         run = plan.opts[:method] |> run_method(state) |> finish_run(),
+         :ok <- RunRecord.write_run(plan.folder, run),
+         do: {:ok, {plan.folder, run}}
+  end
+
+  defp put_pool(state, nil), do: state
+
+  defp put_pool(state, pool),
+    do: %{state | pool: pool, run: Map.put(state.run, "nodes", pool.machines)}
+
+  defp connect_nodes(context, opts) do
+    if opts[:nodes], do: NodePool.connect(context, opts), else: {:ok, nil}
   end
 
   # A killed run leaves unfinished recordings. Those of a process that is still running are kept.
   defp discard_drafts(folder) do
-    for part <- ["outputs" | list_stages(folder)],
+    for part <- ["outputs", "stages" | list_stages(folder)],
         draft <- ResultsFile.list_files(Path.join(folder, part), ".unfinished"),
         [_, pid] <- [Regex.run(~r/\.(\d+)-\d+\.unfinished\z/, draft)],
         not File.dir?("/proc/#{pid}"),
@@ -214,7 +231,20 @@ defmodule Situ.Experiment.Runner do
     |> report_progress(state.results[trial.key])
   end
 
-  defp compute_trials(%{context: context} = state, waiting) do
+  # A measurement needs no pipeline, and its recording is here.
+  defp compute_trials(%{pool: %NodePool{} = pool} = state, waiting) do
+    {measured, waiting} =
+      Enum.split_with(waiting, &recorded?(state.results[&1.key], state.context))
+
+    state = compute_here(state, measured)
+    trials = for trial <- waiting, do: {trial, state.stamps[trial.session.name]}
+    {pool, state} = NodePool.compute_trials(pool, trials, state, &put_result(&3, &1, &2))
+    put_pool(state, pool)
+  end
+
+  defp compute_trials(state, waiting), do: compute_here(state, waiting)
+
+  defp compute_here(%{context: context} = state, waiting) do
     known = state.results
 
     waiting
@@ -242,12 +272,17 @@ defmodule Situ.Experiment.Runner do
   # A result is on disk before the task ends.
   defp compute_result(trial, context, known) do
     result =
-      if known["status"] == "done" and File.dir?(Path.join(context.folder, known["output"])),
+      if recorded?(known, context),
         do: Trial.measure_again(trial, context, known),
         else: Trial.run_trial(trial, context)
 
     with :ok <- ResultsFile.append_result(context.folder, result), do: {:ok, result}
   end
+
+  defp recorded?(%{"status" => "done", "output" => output}, context),
+    do: File.dir?(Path.join(context.folder, output))
+
+  defp recorded?(_known, _context), do: false
 
   defp put_result(state, trial, result) do
     failed = if result["status"] == "failed", do: 1, else: 0

@@ -3,7 +3,7 @@ defmodule Situ.Experiment.StageCache do
   # Stages of an experiment that many sets of parameters share. A stage is computed by its own pipeline, before the
   # pipeline that needs it, and recorded. A lock on its key prevents two results from computing it at the same time.
   alias Situ.Dataset.StoreVersion
-  alias Situ.Experiment.{BusyTime, CodeVersion, Context, Input, ResultsFile}
+  alias Situ.Experiment.{BusyTime, CodeVersion, Context, FileTransfer, Input, ResultsFile}
   alias Situ.{Error, Pipeline, Store}
 
   @store "Stage"
@@ -17,16 +17,76 @@ defmodule Situ.Experiment.StageCache do
     options = Map.new(options)
     folder = stage_folder(input, {module, function}, options)
 
-    :global.trans({{__MODULE__, folder}, self()}, fn ->
-      if read_manifest(folder) == :error,
-        do: compute_stage(input, {module, function}, options, folder)
-    end)
+    if read_manifest(folder) == :error do
+      lock_stage(context, folder, fn ->
+        ensure_stage(input, {module, function}, options, folder)
+      end)
+    end
 
     {:ok, manifest, path} = read_manifest(folder)
     if context.owner, do: send(context.owner, {:stage_used, self(), folder, manifest["busy_s"]})
     importer = Store.importer(input.pipeline, path)
     exported = for name <- manifest["streams"], do: {String.to_existing_atom(name), name}
     Map.new(exported, fn {key, name} -> {key, Store.stream(importer, name)} end)
+  end
+
+  defp ensure_stage(%{context: context} = input, stage, options, folder) do
+    if read_manifest(folder) == :error and not fetch_stage(context, folder) do
+      compute_stage(input, stage, options, folder)
+      offer_stage(context, folder)
+    end
+  end
+
+  # On a node of a cluster, the node that started the run has the lock and the stages of all nodes.
+  defp lock_stage(%{peer: nil}, folder, fun), do: lock_on(node(), folder, fun)
+
+  defp lock_stage(%{peer: peer} = context, folder, fun),
+    do: lock_on(peer.node, peer_folder(context, folder), fun)
+
+  defp lock_on(node, folder, fun),
+    do: :global.trans({{__MODULE__, folder}, self()}, fun, [node])
+
+  defp peer_folder(%{peer: peer} = context, folder),
+    do: Path.join(peer.folder, Path.relative_to(folder, context.folder))
+
+  defp fetch_stage(%{peer: nil}, _folder), do: false
+
+  defp fetch_stage(%{peer: peer} = context, folder) do
+    source = peer_folder(context, folder)
+    complete? = :erpc.call(peer.node, __MODULE__, :complete_stage?, [source])
+    if complete?, do: Error.unwrap!(FileTransfer.fetch_folder(peer.node, source, folder))
+    complete?
+  end
+
+  defp offer_stage(%{peer: nil}, _folder), do: :ok
+
+  defp offer_stage(%{peer: peer} = context, folder) do
+    arguments = [node(), folder, peer_folder(context, folder)]
+    Error.unwrap!(:erpc.call(peer.node, __MODULE__, :take_stage, arguments))
+  end
+
+  @doc "Returns whether the folder of a stage is complete."
+  @spec complete_stage?(Path.t()) :: boolean()
+  def complete_stage?(folder), do: read_manifest(folder) != :error
+
+  @doc "Copies a stage from a node that has computed it and holds its lock."
+  @spec take_stage(node(), source :: Path.t(), target :: Path.t()) :: :ok | {:error, Error.t()}
+  def take_stage(node, source, target) do
+    draft = StoreVersion.draft_path(target)
+
+    with :ok <- FileTransfer.fetch_folder(node, source, draft),
+         {:ok, _} <- File.rm_rf(target),
+         :ok <- File.rename(draft, target) do
+      :ok
+    else
+      {:error, %Error{} = error} ->
+        StoreVersion.discard_draft(draft)
+        {:error, error}
+
+      other ->
+        StoreVersion.discard_draft(draft)
+        {:error, Error.new(:not_saved, "cannot save the stage #{target}", why: inspect(other))}
+    end
   end
 
   defp stage_function({module, function}, _context), do: check_function(module, function)

@@ -19,6 +19,7 @@ defmodule Situ.Experiment.Summary do
           texts: %{String.t() => String.t()},
           sessions: non_neg_integer(),
           failures: [{String.t(), String.t()}],
+          machines: [String.t()],
           metrics: %{String.t() => metric_row()}
         }
 
@@ -42,6 +43,7 @@ defmodule Situ.Experiment.Summary do
         set["texts"] || Map.new(set["parameters"], fn {k, v} -> {k, Situ.JSON.encode(v)} end),
       sessions: length(done),
       failures: for(%{"status" => "failed"} = r <- results, do: {r["session"], r["error"]}),
+      machines: for(%{"machine" => machine} <- done, uniq: true, do: machine),
       metrics: Map.new(run["metrics"], &{&1["name"], summarize_metric(&1, done, run["seed"])})
     }
   end

@@ -2,7 +2,7 @@ defmodule Situ.Experiment.Trial do
   @moduledoc false
   # One session with one set of parameters: runs the pipeline, records its streams and measures them.
   alias Situ.Dataset.{OpenSession, Session, StoreVersion}
-  alias Situ.Experiment.{BusyTime, CodeVersion, Context, Input, Parameters}
+  alias Situ.Experiment.{BusyTime, CodeVersion, Context, Input, Parameters, Provenance}
   alias Situ.Metric.Measurement
   alias Situ.{Error, Pipeline, Store}
 
@@ -47,15 +47,22 @@ defmodule Situ.Experiment.Trial do
            do: measure_output(trial, context, path, busy_s)
 
     took_s = (System.monotonic_time(:millisecond) - started) / 1000
-    trial |> describe(context, outcome) |> Map.put("took_s", took_s)
+    measured = %{"took_s" => took_s, "machine" => Provenance.name_machine()}
+    trial |> describe(context, outcome) |> Map.merge(measured)
   end
+
+  @doc "Returns the result of a trial that could not be computed."
+  @spec describe_failure(t(), Context.t(), Error.t()) :: map()
+  def describe_failure(%__MODULE__{} = trial, %Context{} = context, error),
+    do: trial |> describe(context, {:error, error}) |> Map.put("took_s", 0.0)
 
   @doc "Measures the output of an earlier result again, after a change of the metrics."
   @spec measure_again(t(), Context.t(), map()) :: map()
   def measure_again(%__MODULE__{} = trial, %Context{} = context, result) do
     path = Path.join(context.folder, result["output"])
     outcome = measure_output(trial, context, path, result["busy_s"])
-    trial |> describe(context, outcome) |> Map.put("took_s", result["took_s"])
+    earlier = Map.take(result, ["took_s", "machine", "node"])
+    trial |> describe(context, outcome) |> Map.merge(earlier)
   end
 
   @doc "Runs the pipeline; its streams become the next version of the recording `folder/KEY`. Returns its path."
@@ -67,7 +74,14 @@ defmodule Situ.Experiment.Trial do
     context = %{context | owner: self()}
 
     build = fn p ->
-      input = %Input{pipeline: p, session: trial.session, context: context, stamp: trial.stamp}
+      input = %Input{
+        pipeline: p,
+        session: trial.session,
+        context: context,
+        stamp: trial.stamp,
+        opened: trial.opened && elem(trial.opened, 0)
+      }
+
       streams = check_streams(context.module.build(p, input, trial.set.values))
       exporter = Store.create(p, trial.key, draft, versioned: false)
       for {name, stream} <- streams, do: Store.write(stream, exporter, name)

@@ -74,10 +74,14 @@ defmodule Situ.Metric.Measurement do
   end
 
   defp measure_metric(%Metric{kind: :latency} = metric, measured, _speed) do
-    with {:ok, messages} <- read_output(measured, metric.options[:stream]) do
+    names = for info <- Store.streams(measured.output), do: info.name
+    stream = metric.options[:stream]
+
+    with {:ok, messages} <-
+           Error.map_ok(if(stream, do: [stream], else: names), &read_output(measured, &1)) do
       {:ok,
        messages
-       |> Enum.map(&(Message.latency(&1) / 1.0e9))
+       |> Enum.flat_map(fn some -> Enum.map(some, &(Message.latency(&1) / 1.0e9)) end)
        |> latency_values()
        |> MeanScore.count_values(), []}
     end

@@ -48,6 +48,10 @@ defmodule Situ.Metric.StoredMetric do
       {truth, stream} when is_binary(truth) and is_binary(stream) ->
         %{"kind" => to_string(kind), "truth" => truth, "stream" => stream}
 
+      # Reports name the machine of such values.
+      _ when kind in [:cost, :latency] ->
+        %{"kind" => to_string(kind)}
+
       _ ->
         %{}
     end

@@ -35,6 +35,24 @@ defmodule Situ.Experiment.CodeVersionTest do
     assert first != hash(String.replace(@source, "Situ.Time.ms(x)", "Situ.Time.us(x)"))
   end
 
+  @tag :tmp_dir
+  test "the same is true of a module of an application", %{tmp_dir: folder} do
+    Code.prepend_path(folder)
+    on_exit(fn -> Code.delete_path(folder) end)
+
+    hash = fn source ->
+      [{module, beam}] = Code.compile_string(source)
+      File.write!(Path.join(folder, "#{module}.beam"), beam)
+      :code.purge(module)
+      :code.delete(module)
+      CodeVersion.hash_function(CodeVersion.new(), module, :build)
+    end
+
+    first = hash.(@source)
+    assert first == hash.(String.replace(@source, "[a: [1]]", "[a: [1, 2]]"))
+    assert first != hash.(String.replace(@source, "+ 1", "+ 2"))
+  end
+
   test "another module of the same file counts if it is referred to" do
     helper =
       &"defmodule Situ.Experiment.CodeVersionTest.Help do\n  def ms(x), do: x * #{&1}\nend\n"

@@ -52,6 +52,18 @@ defmodule Situ.Experiment.ReportTest do
            )
   end
 
+  test "the report names the machines on which costs were measured" do
+    cost = %{"name" => "cost", "main" => "busy_s_per_s", "kind" => "cost", "better" => %{}}
+    run = update_in(@run["metrics"], &(&1 ++ [cost]))
+    on = fn row, machine -> Map.put(row, :machines, [machine]) end
+    [first, second] = rows()
+    lines = ReportTable.describe_run([on.(first, "lab2"), on.(second, "lab1")], run)
+    assert "Machines of cost: lab1, lab2" in lines
+    lines = ReportTable.describe_run([on.(first, "lab1"), on.(second, "lab1")], run)
+    assert "Machine of cost: lab1" in lines
+    refute Enum.any?(ReportTable.describe_run([on.(first, "lab1")], @run), &(&1 =~ "Machine"))
+  end
+
   test "Markdown and HTML escape text" do
     markdown = rows() |> ReportTable.table_rows(@run) |> ReportTable.render_markdown()
     assert markdown =~ "detector=<A\\|B>"

@@ -17,10 +17,14 @@ defmodule Situ.CLI.Experiment.Bisecting do
   @spec find_commit(check(), good :: String.t(), keyword()) :: 0 | 1 | 130
   def find_commit(check, good, opts) do
     repository = find_repository!(check.file)
-    commits = list_commits!(repository, good)
+    {good, commits} = list_commits!(repository, good)
     terminal = Terminal.open(opts)
     state = %{check: check, repository: repository, terminal: terminal, opts: opts}
-    result = Interrupt.with_message(:interrupted, fn -> await_search(state, good, commits) end)
+    search = &await_search(state, good, commits, &1)
+
+    result =
+      Interrupt.with_message(:interrupted, fn -> TempFolder.with_folder("bisect", search) end)
+
     Terminal.close(terminal)
 
     case result do
@@ -30,13 +34,9 @@ defmodule Situ.CLI.Experiment.Bisecting do
     end
   end
 
-  # The task ends with its temporary folder, so an interrupted search leaves no worktree.
-  defp await_search(state, good, commits) do
-    task =
-      Task.async(fn ->
-        TempFolder.with_folder("bisect", &search_commits(state, good, commits, &1))
-      end)
-
+  # An interrupted search leaves no worktree: the folder belongs to this process, which outlives the search.
+  defp await_search(state, good, commits, folder) do
+    task = Task.async(fn -> search_commits(state, good, commits, folder) end)
     ref = task.ref
 
     receive do
@@ -46,54 +46,77 @@ defmodule Situ.CLI.Experiment.Bisecting do
 
       :interrupted ->
         Task.shutdown(task, :brutal_kill)
-        prune_worktrees(state.repository)
+        prune_worktrees(state.repository, worktree_path(folder))
         :interrupted
     end
   end
 
-  # The range is checked first: otherwise, the result would be a wrong commit.
+  # The range is checked first: otherwise, the result would be a wrong commit. Building a worktree of Situ takes
+  # minutes, and a checkout without changes is the latest commit already.
   defp search_commits(state, good, commits, folder) do
-    worktree = Path.join(folder, "worktree")
+    latest = List.last(commits)
+    verdict = if unchanged?(state.repository), do: test_folder(state, state.repository, latest)
+
+    if verdict in [:good, :untestable],
+      do: {:error, latest_error(verdict)},
+      else: search_worktree(state, {good, commits, verdict}, worktree_path(folder))
+  end
+
+  defp worktree_path(folder), do: Path.join(folder, "worktree")
+
+  defp unchanged?(repository),
+    do: run_git(repository, ["status", "--porcelain", "--untracked-files=no"]) == {:ok, ""}
+
+  defp search_worktree(state, {good, commits, latest}, worktree) do
     run_git!(state.repository, ["worktree", "add", "--detach", worktree, good])
     test = &test_commit(state, worktree, &1)
 
     try do
-      case {test.(good), test.(List.last(commits))} do
-        {:good, :bad} ->
-          {:ok, Bisection.find_first_bad(commits, test)}
-
-        {verdict, :bad} ->
-          {:error, range_error("#{good} is #{describe_verdict(verdict)}", "name an older commit")}
-
-        {_, verdict} ->
-          {:error,
-           range_error(
-             "the latest commit is #{describe_verdict(verdict)}",
-             "commit your changes first"
-           )}
+      with {:latest, :bad} <- {:latest, latest || test.(List.last(commits))},
+           {:good, :good} <- {:good, test.(good)} do
+        {:ok, Bisection.find_first_bad(commits, test)}
+      else
+        {:latest, verdict} -> {:error, latest_error(verdict)}
+        {:good, verdict} -> {:error, good_error(good, verdict)}
       end
     after
       prune_worktrees(state.repository, worktree)
     end
   end
 
-  defp describe_verdict(:bad), do: "worse than the baseline, too"
-  defp describe_verdict(:good), do: "not worse than the baseline"
-  defp describe_verdict(:untestable), do: "not testable: the check fails there"
+  defp latest_error(:good) do
+    range_error(
+      "the latest commit is not worse than the baseline",
+      "commit your changes first, because only commits are searched; or lower the tolerance in the baseline"
+    )
+  end
+
+  defp latest_error(:untestable),
+    do: range_error("the check fails at the latest commit", "run it without --bisect")
+
+  defp good_error(good, :bad),
+    do: range_error("#{good} is worse than the baseline, too", "name an older commit")
+
+  defp good_error(good, :untestable),
+    do: range_error("the check fails at #{good}", "name a later commit")
 
   defp range_error(why, fix) do
     Error.new(:no_range, "no commit can be found", why: why, fix: fix)
   end
 
-  defp prune_worktrees(repository, worktree \\ nil) do
-    if worktree, do: run_git(repository, ["worktree", "remove", "--force", worktree])
+  defp prune_worktrees(repository, worktree) do
+    run_git(repository, ["worktree", "remove", "--force", worktree])
     run_git(repository, ["worktree", "prune"])
   end
 
   defp test_commit(state, worktree, commit) do
-    Terminal.replace_line(state.terminal, "checking #{describe_commit(state.repository, commit)}")
     run_git!(worktree, ["checkout", "--detach", "--force", commit])
-    verdict = run_check(state, worktree)
+    test_folder(state, worktree, commit)
+  end
+
+  defp test_folder(state, folder, commit) do
+    Terminal.replace_line(state.terminal, "checking #{describe_commit(state.repository, commit)}")
+    verdict = run_check(state, folder)
 
     unless state.opts[:json],
       do: Output.puts("#{verdict_word(verdict)}  #{describe_commit(state.repository, commit)}")
@@ -153,22 +176,18 @@ defmodule Situ.CLI.Experiment.Bisecting do
     end
   end
 
-  defp list_commits!(repository, good) do
-    with {:ok, _} <-
-           run_git(repository, [
-             "rev-parse",
-             "--verify",
-             "--quiet",
-             "--end-of-options",
-             good <> "^{commit}"
-           ]),
+  # A name such as HEAD~20 means another commit in the worktree, so only its hash is used.
+  defp list_commits!(repository, name) do
+    verify = ["rev-parse", "--verify", "--quiet", "--end-of-options", name <> "^{commit}"]
+
+    with {:ok, good} <- run_git(repository, verify),
          {:ok, text} <-
            run_git(repository, ["rev-list", "--reverse", "--first-parent", good <> "..HEAD"]),
          [_ | _] = commits <- String.split(text) do
-      commits
+      {good, commits}
     else
       _ ->
-        raise Error.new(:no_commits, "there are no commits after #{inspect(good)}",
+        raise Error.new(:no_commits, "there are no commits after #{inspect(name)}",
                 why: "the search needs a commit that was good, and later ones",
                 fix: "name a commit of #{repository}: --bisect HASH"
               )

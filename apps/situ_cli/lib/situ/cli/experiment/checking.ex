@@ -63,6 +63,9 @@ defmodule Situ.CLI.Experiment.Checking do
   defp bisect_commits(%{file: file, dataset: path}, baseline, opts) do
     _ = Error.unwrap!(Baseline.read_file(baseline))
 
+    if opts[:cluster],
+      do: throw({:usage, "--bisect runs here, because the nodes have one version of the code"})
+
     check = %{
       file: if(File.exists?(file), do: Path.expand(file), else: file),
       dataset: Path.expand(path),

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Experiment.Running do
   @moduledoc false
   # `situ experiment run`: runs an experiment with a status line, and ends it properly at Ctrl-C.
   alias Situ.CLI.Experiment.{Loading, Viewing}
-  alias Situ.CLI.{Interrupt, Output, Studio, Terminal}
+  alias Situ.CLI.{ClusterConnection, Interrupt, Output, Studio, Terminal}
   alias Situ.Experiment.{RunRecord, Runner}
   alias Situ.{Dataset, Error, Time}
 
@@ -63,7 +63,7 @@ defmodule Situ.CLI.Experiment.Running do
         file: experiment.file,
         binaries: experiment.binaries,
         progress: &send(me, {:progress, &1})
-      ] ++ settings
+      ] ++ settings ++ cluster_settings(opts, &send(me, {:notice, &1}))
 
     Interrupt.with_message(:interrupted, fn ->
       # A run that crashes must not end the command before it prints the error.
@@ -76,17 +76,47 @@ defmodule Situ.CLI.Experiment.Running do
     end)
   end
 
+  defp cluster_settings(opts, notify) do
+    cond do
+      opts[:cluster] ->
+        {:ok, _} = Application.ensure_all_started(:situ_cluster)
+
+        # The first call reports a wrong name or folder. Later, a lost node is not an error of the command.
+        _ = ClusterConnection.connect_members(opts, opts[:label])
+        [nodes: fn -> list_members(opts) end, notify: notify]
+
+      opts[:node] || opts[:label] not in [nil, []] ->
+        throw({:usage, "--node and --label need --cluster"})
+
+      true ->
+        []
+    end
+  end
+
+  defp list_members(opts) do
+    ClusterConnection.connect_members(opts, opts[:label])
+  rescue
+    Error -> []
+  end
+
   defp await_run(%{ref: ref} = task, dataset, terminal) do
     receive do
       {:progress, progress} ->
         Terminal.replace_line(terminal, format_progress(progress))
         await_run(task, dataset, terminal)
 
+      {:notice, text} ->
+        Terminal.replace_line(terminal, "")
+        Output.warn(text)
+        await_run(task, dataset, terminal)
+
       {^ref, result} ->
         Process.demonitor(ref, [:flush])
+        with {:error, _} <- result, do: RunRecord.mark_interrupted(dataset)
         result
 
       {:DOWN, ^ref, _, _, reason} ->
+        RunRecord.mark_interrupted(dataset)
         {:error, Error.new(:run_crashed, "the run crashed", why: inspect(reason, limit: 10))}
 
       :interrupted ->
@@ -102,7 +132,13 @@ defmodule Situ.CLI.Experiment.Running do
     left = progress.left_s && Time.format_duration(round(progress.left_s) * 1_000_000_000)
     failures = if failed > 0, do: ", #{failed} failed", else: ""
     estimate = if left && done < total, do: ", about #{left} left", else: ""
-    session = if progress.last, do: " (#{Output.format_name(progress.last["session"])})", else: ""
-    "#{done} of #{total} results#{failures}#{estimate}#{session}"
+    "#{done} of #{total} results#{failures}#{estimate}#{format_last(progress.last)}"
+  end
+
+  defp format_last(nil), do: ""
+
+  defp format_last(%{"session" => session} = result) do
+    node = if name = result["node"], do: " on #{name}", else: ""
+    " (#{Output.format_name(session)}#{node})"
   end
 end

@@ -6,7 +6,7 @@ defmodule Situ.Studio.Web.ExperimentView do
   use Situ.Live.View
   import Situ.Studio.Web.Icons
 
-  alias Situ.Experiment.{Baseline, Comments, RunRecord}
+  alias Situ.Experiment.{Baseline, Comments, ReportTable, RunRecord}
   alias Situ.Studio.{Catalog, Experiments}
   alias Situ.Studio.Experiments.{Axis, DifferencePage, SetList}
   alias Situ.Studio.Web.Experiment.{CurveChart, ParallelChart, SetDetails, SetParams, SetTable}
@@ -298,8 +298,11 @@ defmodule Situ.Studio.Web.ExperimentView do
       "#{length(run["sets"])} sets, #{length(run["sessions"])} sessions, method #{run["method"]}"
 
     failures = if progress.failed > 0, do: ", #{progress.failed} failed", else: ""
+    nodes = if run["nodes"], do: ", #{map_size(run["nodes"])} nodes of a cluster", else: ""
+    machines = for text <- ReportTable.describe_machines(state.rows, run), do: " #{text}."
 
-    "#{describe_state(status, progress)}#{failures}. #{sets}. #{describe_baseline(state.baseline, run)}"
+    "#{describe_state(status, progress)}#{failures}. #{sets}#{nodes}. " <>
+      "#{describe_baseline(state.baseline, run)}#{machines}"
   end
 
   defp describe_state("running", progress) do
