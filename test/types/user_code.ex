@@ -1,4 +1,4 @@
-# Code as users of Situ write it, with specs of their own. `bin/lib/dialyze` checks it together with Situ's apps: a spec
+# Code as users of Situ write it, with their own specs. `bin/lib/dialyze` checks it together with Situ's apps: a spec
 # of Situ that is narrower than its documentation shows up here as a type error in the user's project.
 defmodule UserCode.Knocks do
   @moduledoc "A component."

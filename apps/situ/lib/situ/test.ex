@@ -51,7 +51,7 @@ defmodule Situ.Test do
   | `assert_emits t, pattern` | the next message that was not checked yet matches |
   | `assert_emits t, [pattern, pattern]` | the next messages match, one after the other |
   | `await_emits t, pattern` | a message matches after the clock has moved, at most by `within:` (default 10 s) |
-  | `refute_emits t, pattern` | no message matches among those that were not checked yet (without a pattern: none exists) |
+  | `refute_emits t, pattern` | no message that was not checked yet matches (without a pattern: none exists) |
 
   Patterns bind variables, and may contain `^` and guards, as in `assert_receive`. If the pipeline has several outputs,
   `output:` names one: `assert_emits t, {_, :left}, output: :eyes`. All of them wait until the pipeline is idle, so none
@@ -259,7 +259,7 @@ defmodule Situ.Test do
   end
 
   @doc """
-  Asserts that no message matches `pattern` among those that were not checked yet. They can still be checked after it.
+  Asserts that no message that was not checked yet matches `pattern`. These messages can still be checked after it.
 
       iex> import Situ.Test, only: :macros
       iex> t = Situ.Test.start([:n], fn %{n: n} -> Situ.filter(n, & &1 > 5) end)

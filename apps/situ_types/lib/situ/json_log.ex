@@ -9,8 +9,8 @@ defmodule Situ.JsonLog do
   prints them; `mfa`, `pid` and other fields that only the logger needs are left out.
 
   Lines that a component writes while it handles a message have `pipeline`, `component` and the `originating_time` of
-  the message (ISO 8601). If it handles several at once, `originating_time` is the first and `last_originating_time` the
-  last of the messages that it may be.
+  the message (ISO 8601). If it handles several together, `originating_time` and `last_originating_time` are the times
+  of the first and the last of them.
 
       iex> metadata = [time: 1_700_000_000_123_456, pipeline: "Lobby"]
       iex> line = Situ.JsonLog.format(:error, "no camera", {{2023, 11, 14}, {22, 13, 20, 123}}, metadata)

@@ -1,6 +1,6 @@
 defmodule Situ.VideoPacket do
   @moduledoc """
-  One image of a compressed video: the bytes for a decoder, and what is needed to find the place where decoding begins.
+  One image of a compressed video: the bytes for a decoder, and the distance to the place where decoding begins.
 
   A recording that is written with `encode:` (`Situ.Store.write/4`) contains one packet for each image. Packets are in
   the order of the images' times, because no image refers to a later one.

@@ -2,7 +2,7 @@ defmodule Situ.Component.LogContext do
   @moduledoc false
   # Adds the component and the originating time to every log line that is written while a component handles messages.
   #
-  # `Situ.Component.Callback` and `Situ.Operator.Chain` note what they handle in the process dictionary:
+  # `Situ.Component.Callback` and `Situ.Operator.Chain` note the messages that they handle in the process dictionary:
   #
   #   :situ_handling   {path of the component, originating time | batch | nil}
   #   :situ_left       the items of a chain's batch that it has not handled yet

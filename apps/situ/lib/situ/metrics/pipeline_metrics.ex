@@ -6,7 +6,7 @@ defmodule Situ.Metrics.PipelineMetrics do
   alias Situ.Ports.Counters
   alias Situ.{Metrics, Time}
 
-  # The largest number of connections, components and processes of a pipeline that have series of their own.
+  # The largest number of connections, components and processes of a pipeline that have their own series.
   @most 500
   @others "(others)"
 
@@ -41,7 +41,7 @@ defmodule Situ.Metrics.PipelineMetrics do
       for({name, key, help} <- @process_gauges, do: gauge(name, help, samples(processes, key)))
   end
 
-  # Two pipelines may have the same name, but every series needs labels of its own.
+  # Two pipelines may have the same name, but every series needs its own labels.
   defp number_names(pipelines) do
     {pipelines, _} =
       Enum.map_reduce(pipelines, %{}, fn {%{pipeline: name} = snapshot, counters}, seen ->

@@ -61,7 +61,7 @@ defmodule Situ.Stage.ErrorPolicy do
   end
 
   # Up to where its streams are complete: before the message at which it failed or, without one, up to its last post on
-  # the output that is furthest behind. All streams of a source that has reported its end are complete.
+  # the output with the earliest last post. All streams of a source that has reported its end are complete.
   defp reached_time(%{source: %{completed: true, completing: nil}}, _error), do: nil
 
   defp reached_time(_step, %{meta: %{originating_time: time}}) when is_integer(time), do: time - 1

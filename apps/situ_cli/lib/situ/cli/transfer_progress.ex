@@ -3,7 +3,7 @@ defmodule Situ.CLI.TransferProgress do
   # Shows the progress of a transfer on the terminal: a bar, the bytes, the rate and the time that is left.
   alias Situ.CLI.{Output, Progress, Terminal}
 
-  # The rate is that of the last 10 to 20 s.
+  # The rate covers the last 10 to 20 s.
   @window_ms 10_000
 
   @doc "Runs a transfer with a function that reports the bytes that are done and all bytes."

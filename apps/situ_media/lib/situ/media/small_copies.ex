@@ -65,7 +65,7 @@ defmodule Situ.Media.SmallCopies do
     :crypto.hash(:sha256, key) |> binary_part(0, 16) |> Base.encode16(case: :lower)
   end
 
-  # The time of the folder is that of the last use.
+  # The folder's time is the time of the last use.
   defp open_copy(folder) do
     _ = File.touch(folder)
 

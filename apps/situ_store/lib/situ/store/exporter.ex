@@ -193,7 +193,7 @@ defmodule Situ.Store.Exporter do
             ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
   end
 
-  # The type of encoded images tells readers to decode them.
+  # By the type of encoded images, readers know that they have to decode them.
   defp recorded_type(stream, opts) do
     cond do
       opts[:encode] -> Situ.Image
@@ -203,7 +203,7 @@ defmodule Situ.Store.Exporter do
     end
   end
 
-  # The encoder has a name of its own, and receives what the recording would receive.
+  # The encoder has its own name, and receives the same images as the recording would.
   defp encode_images(stream, name, opts) do
     cond do
       opts[:encode] == nil ->

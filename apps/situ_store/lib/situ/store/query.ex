@@ -282,13 +282,9 @@ defmodule Situ.Store.Query do
 
   # A packet is decoded where it is read by its ordinal.
   defp find_latest(store, info, time) do
-    case store.module.latest_at(store.state, info, time) do
-      {:ok, %{data: %VideoPacket{}}} when info.type == Situ.Image ->
-        seek_latest(store, info, time)
-
-      result ->
-        result
-    end
+    result = store.module.latest_at(store.state, info, time)
+    packet? = info.type == Situ.Image and match?({:ok, %{data: %VideoPacket{}}}, result)
+    if packet?, do: seek_latest(store, info, time), else: result
   end
 
   defp seek_latest(store, info, time) do

@@ -59,7 +59,7 @@ defmodule Situ.Store.S3 do
     recursive: [type: :boolean, default: false, doc: "Search subfolders, too."]
   ]
 
-  @typedoc "What was done, and what it cost."
+  @typedoc "The steps of a transfer, and its cost."
   @type report :: Transfer.report()
 
   # Format

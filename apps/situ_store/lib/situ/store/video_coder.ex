@@ -93,7 +93,7 @@ defmodule Situ.Store.VideoCoder do
 
   def put_undecoded(message, _reason), do: message
 
-  @doc "Returns whether a stream of images begins with a packet. Reads one message if the catalog does not tell."
+  @doc "Returns whether a stream of images begins with a packet. Reads one message if the catalog does not contain it."
   @spec stored_as_video?(Recording.t(), StreamInfo.t()) :: boolean()
   def stored_as_video?(store, %{type: type} = info) when type in [Situ.Image, VideoPacket],
     do: names_codec?(info) or match?({:ok, %VideoPacket{}}, first_packet(store, info))

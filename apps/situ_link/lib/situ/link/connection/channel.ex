@@ -144,7 +144,7 @@ defmodule Situ.Link.Connection.Channel do
 
   @doc """
   Returns how much older than the sender's clock the last consumed message was when it was consumed, in ns. With
-  `waiting?`, later messages exist or may exist, so the lag is that of the time `now`.
+  `waiting?`, later messages exist or may exist, so the lag is measured at the time `now`.
   """
   @spec lag(t(), Situ.Time.t(), boolean()) :: Situ.Time.duration() | nil
   def lag(%__MODULE__{consumed: nil}, _now, _waiting?), do: nil

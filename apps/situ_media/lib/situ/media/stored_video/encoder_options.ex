@@ -32,7 +32,7 @@ defmodule Situ.Media.StoredVideo.EncoderOptions do
   ]
 
   # {codec, encoder of FFmpeg}, in the order of preference. A codec that no installed encoder makes is replaced by the
-  # next one of the list.
+  # next of the list.
   @encoders [h264: "libx264", h264: "libopenh264", vp8: "libvpx", vp9: "libvpx-vp9"]
   @codecs @encoders |> Keyword.keys() |> Enum.uniq()
   @formats [:gray8, :bgr24, :rgb24]
@@ -128,7 +128,7 @@ defmodule Situ.Media.StoredVideo.EncoderOptions do
       rate_args(encoder, opts) ++ codec_args(encoder, image, opts)
   end
 
-  # Color has half the resolution, so sizes must be even. The row or column that is added repeats the one beside it.
+  # Color has half the resolution, so sizes must be even. The row or column that is added repeats its neighbor.
   defp filters(%{width: w, height: h}) do
     {right, bottom} = {rem(w, 2), rem(h, 2)}
     size = "#{w + right}:#{h + bottom}"

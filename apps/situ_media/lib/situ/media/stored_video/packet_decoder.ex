@@ -6,7 +6,7 @@ defmodule Situ.Media.StoredVideo.PacketDecoder do
   alias Situ.Media.FFmpeg.FormatNames
   alias Situ.Media.StoredVideo.{EncoderOptions, Transcoder}
 
-  # `position` is that of the packet after the last one.
+  # `position` is where the packet after the last one begins.
   @enforce_keys [:coder, :shape]
   defstruct [:coder, :shape, position: 0, ticks: 0]
   @type t :: %__MODULE__{}

@@ -14,7 +14,7 @@ defmodule Situ.Store.S3.Cost do
           received: non_neg_integer()
         }
 
-  @doc "Runs a function and returns its result and what it cost."
+  @doc "Runs a function and returns its result and its cost."
   @spec measure((() -> result)) :: {result, t()} when result: term()
   def measure(run) do
     before = Process.put(__MODULE__, @zero)
