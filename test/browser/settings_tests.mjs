@@ -156,7 +156,7 @@ test("1 settings: leaving a changed layout asks for confirmation if the setting 
   await until(page, () => document.querySelector("#studio").dataset.layout === "Asked", "a named layout");
   const asked = [];
   page.on("dialog", (d) => (asked.push(d.type()), d.accept()));
-  await page.keyboard.press("b");
+  await page.dblclick("#tree .node[data-stream]");
   await until(page, () => document.querySelector("#studio").dataset.edit, "a change");
   await page.goto(`${main}/settings`);
   equal(asked, ["beforeunload"], "the page asks");

@@ -19,6 +19,10 @@ from situ.binary import Cursor, Damaged, Missing  # noqa: E402
 from situ.layout import StoreFiles  # noqa: E402
 
 
+def find_entries(files, stream, level):
+    return [entry for entry in files.entries if (entry["stream"], entry["level"]) == (stream, level)]
+
+
 def read_bins(files, entry):
     header, body = files.read_chunk(entry)
     for n in range(header["count"]):
@@ -60,7 +64,7 @@ def dump_messages(files):
         head = {"stream": record["name"], "type": record["type"], "closed": closed.get("time")}
         if "metadata" in stream:
             head["metadata"] = stream["metadata"]["term"]
-        entries = files.find_entries(id, 0)
+        entries = find_entries(files, id, 0)
         if entries:
             last, _ = files.read_chunk(entries[-1])
             head |= {"count": entries[-1]["ordinal"] + entries[-1]["count"], "size": last["size"], "latency": last["latency"]}
@@ -81,11 +85,11 @@ def dump_bins(files):
     _, streams = files.read_catalog()
     for id, stream in sorted(streams.items()):
         for level in range(1, 64):
-            for entry in files.find_entries(id, level):
+            for entry in find_entries(files, id, level):
                 for bin in read_bins(files, entry):
                     print(json.dumps([stream["stream"]["name"], level, *bin]))
         for level in range(65, 127):
-            for entry in files.find_entries(id, level):
+            for entry in find_entries(files, id, level):
                 for bin in read_track_bins(files, entry):
                     print(json.dumps(dict(bin, stream=stream["stream"]["name"], level=level)))
 

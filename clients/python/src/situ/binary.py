@@ -227,7 +227,8 @@ def _decompress_zstd(stored: Buffer, length: int) -> bytes:
     try:
         import zstandard
 
-        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=length)
+        raw: bytes = zstandard.ZstdDecompressor().decompress(stored, max_output_size=length)
+        return raw
     except ImportError:
         pass
     except Exception as error:

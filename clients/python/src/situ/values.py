@@ -247,7 +247,7 @@ class VideoPacket(_Value):
         return self.HEAD.pack(*codes, self.width, self.height, self.position) + bytes(self.data)
 
     @classmethod
-    def decode(cls, raw):
+    def decode(cls, raw: Any) -> VideoPacket:
         _require(len(raw) >= cls.HEAD.size, "a video packet is shorter than its header")
         version, codec, format, _, width, height, position = cls.HEAD.unpack_from(raw)
         known = version == 1 and codec in VIDEO_CODECS and format in IMAGE_FORMATS

@@ -45,12 +45,12 @@ def _import_av() -> Any:
     return av
 
 
-def _shape_of(packet):
+def _shape_of(packet: VideoPacket) -> tuple[str, int, int, str]:
     return packet.codec, packet.width, packet.height, packet.format
 
 
 # A decoder returns the images in the order of their packets.
-def _take_images(frames, waiting):
+def _take_images(frames: Iterable[Any], waiting: collections.deque[Any]) -> Iterator[Any]:
     for frame in frames:
         message = waiting.popleft()
         packet = message.data

@@ -79,8 +79,9 @@ defmodule Situ.Studio.Web.VideoHttpTest do
     query = %{"source" => "plain.0000", "stream" => "Level"}
     assert index(studio, query) == %{"codec" => nil}
 
-    assert get(studio, :packets, Map.merge(query, %{"first" => "0", "count" => "1"})).status ==
-             400
+    query = Map.merge(query, %{"first" => "0", "count" => "1"})
+    assert get(studio, :packets, query).status == 422
+    assert get(studio, :packets, Map.put(query, "small", "1")).status == 400
   end
 
   test "a session and a comparison pass the images on, at their own times", %{path: path} do
