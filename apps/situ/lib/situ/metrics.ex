@@ -103,7 +103,7 @@ defmodule Situ.Metrics do
           {:ok, counters} <- [Client.fetch_counters(pid, @timeout)],
           do: {snapshot, counters}
 
-    PipelineMetrics.build(pipelines) ++ VmMetrics.collect_metrics() ++ collect_own()
+    PipelineMetrics.build_metrics(pipelines) ++ VmMetrics.collect_metrics() ++ collect_own()
   end
 
   @doc """

@@ -324,7 +324,10 @@ defmodule Situ.Test do
     settle(test)
     key = Outputs.resolve_key!(test, opts)
     waiting = Outputs.list_waiting(test, key)
-    {taken, rest} = if count == :all, do: {waiting, []}, else: Enum.split(waiting, number(count))
+
+    {taken, rest} =
+      if count == :all, do: {waiting, []}, else: Enum.split(waiting, message_count(count))
+
     Outputs.put_waiting(test, key, rest)
 
     case {count, taken} do
@@ -334,8 +337,8 @@ defmodule Situ.Test do
     end
   end
 
-  defp number(:next), do: 1
-  defp number(count), do: count
+  defp message_count(:next), do: 1
+  defp message_count(count), do: count
 
   @doc false
   @spec await_output!(t(), (timed() -> boolean()), String.t(), keyword()) :: timed()

@@ -116,7 +116,7 @@ defmodule Situ.MetricsTest do
 
     nodes = for id <- 1..701, do: %Situ.Diagnostics.Node{id: id, path: "Part #{id}", errors: 1}
     snapshot = %Situ.Diagnostics.Snapshot{pipeline: "Many", nodes: nodes, edges: edges}
-    metrics = Situ.Metrics.PipelineMetrics.build([{snapshot, counters}])
+    metrics = Situ.Metrics.PipelineMetrics.build_metrics([{snapshot, counters}])
     metrics = MetricsText.parse!(Metrics.to_text(metrics))
     {_, processed} = metrics["situ_messages_processed_total"]
     assert length(processed) == 501

@@ -97,20 +97,21 @@ defmodule Situ.Store.Test.ObjectServer do
         {:reply, {:ok, {status, [], error_body(status)}}, state}
 
       fault ->
-        {response, state} = respond(request, state)
+        {response, state} = build_response(request, state)
         {:reply, {fault || :ok, response}, state}
     end
   end
 
-  defp respond(%{query: %{"list-type" => _}} = request, state), do: {list(request, state), state}
+  defp build_response(%{query: %{"list-type" => _}} = request, state),
+    do: {list(request, state), state}
 
-  defp respond(%{method: "PUT", headers: headers, body: body} = request, state) do
+  defp build_response(%{method: "PUT", headers: headers, body: body} = request, state) do
     if headers["x-amz-content-sha256"] in [sha256(body), "UNSIGNED-PAYLOAD"],
       do: put(request, state),
       else: {{400, [], "<Error><Code>XAmzContentSHA256Mismatch</Code></Error>"}, state}
   end
 
-  defp respond(%{method: "POST", query: %{"uploads" => _}} = request, state) do
+  defp build_response(%{method: "POST", query: %{"uploads" => _}} = request, state) do
     id = Integer.to_string(map_size(state.uploads) + 1)
 
     xml =
@@ -120,7 +121,7 @@ defmodule Situ.Store.Test.ObjectServer do
     {{200, [], xml}, put_in(state.uploads[id], %{})}
   end
 
-  defp respond(%{method: "POST", query: %{"uploadId" => id}} = request, state) do
+  defp build_response(%{method: "POST", query: %{"uploadId" => id}} = request, state) do
     case state.uploads do
       %{^id => parts} ->
         wanted =
@@ -141,7 +142,7 @@ defmodule Situ.Store.Test.ObjectServer do
     end
   end
 
-  defp respond(%{method: "POST", query: %{"delete" => _}} = request, state) do
+  defp build_response(%{method: "POST", query: %{"delete" => _}} = request, state) do
     [bucket | _] = String.split(request.key, "/")
     keys = for [_, key] <- Regex.scan(~r/<Key>([^<]*)</, request.body), do: "#{bucket}/#{key}"
 
@@ -150,7 +151,8 @@ defmodule Situ.Store.Test.ObjectServer do
     {{200, [], xml}, %{state | objects: Map.drop(state.objects, keys)}}
   end
 
-  defp respond(%{method: method, key: key} = request, state) when method in ["GET", "HEAD"] do
+  defp build_response(%{method: method, key: key} = request, state)
+       when method in ["GET", "HEAD"] do
     case state.objects do
       %{^key => {etag, bytes}} -> {get(request, etag, bytes), state}
       _ -> {missing("NoSuchKey"), state}
@@ -318,7 +320,7 @@ defmodule Situ.Store.Test.ObjectServer do
         else: [{"Content-Length", byte_size(body)}]
 
     lines = for {name, value} <- length ++ headers, do: "#{name}: #{value}\r\n"
-    body = damage(fault, body)
+    body = damage_body(fault, body)
     _ = :gen_tcp.send(connection, ["HTTP/1.1 #{status} Reply\r\n", lines, "\r\n", body])
 
     case fault do
@@ -328,9 +330,9 @@ defmodule Situ.Store.Test.ObjectServer do
     end
   end
 
-  defp damage({kind, bytes}, body) when kind in [:cut, :stall],
+  defp damage_body({kind, bytes}, body) when kind in [:cut, :stall],
     do: binary_part(body, 0, min(bytes, byte_size(body)))
 
-  defp damage(:corrupt, <<first, rest::binary>>), do: <<bxor(first, 1), rest::binary>>
-  defp damage(_fault, body), do: body
+  defp damage_body(:corrupt, <<first, rest::binary>>), do: <<bxor(first, 1), rest::binary>>
+  defp damage_body(_fault, body), do: body
 end

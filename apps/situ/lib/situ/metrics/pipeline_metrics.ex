@@ -27,8 +27,8 @@ defmodule Situ.Metrics.PipelineMetrics do
   ]
 
   @doc "Builds the metrics of these pipelines; each is a snapshot and its counters by connection."
-  @spec build([{Snapshot.t(), %{pos_integer() => Counters.t()}}]) :: [Metrics.metric()]
-  def build(pipelines) do
+  @spec build_metrics([{Snapshot.t(), %{pos_integer() => Counters.t()}}]) :: [Metrics.metric()]
+  def build_metrics(pipelines) do
     pipelines = number_names(pipelines)
     snapshots = Enum.map(pipelines, &elem(&1, 0))
     edges = Enum.flat_map(pipelines, &list_edges/1)

@@ -72,7 +72,7 @@ defmodule Situ.Pipeline.Launcher do
   def validate_options(spec, opts) do
     cond do
       is_function(spec) ->
-        check_known(opts, [], "a function has no options of its own")
+        check_known(opts, [], "a function takes no options")
 
       is_atom(spec) and Code.ensure_loaded?(spec) and function_exported?(spec, :options, 0) ->
         check_known(opts, spec.options(), nil)

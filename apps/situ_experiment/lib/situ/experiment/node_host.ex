@@ -119,7 +119,7 @@ defmodule Situ.Experiment.NodeHost do
 
     different =
       for {name, theirs} <- versions,
-          release(name, own[name]) != release(name, theirs),
+          select_release(name, own[name]) != select_release(name, theirs),
           do: "#{name} is #{own[name]} there, and #{theirs} here"
 
     if different == [],
@@ -127,8 +127,8 @@ defmodule Situ.Experiment.NodeHost do
       else: {:error, version_error(Enum.join(different, "; "))}
   end
 
-  defp release("otp", version), do: version |> String.split(".") |> hd()
-  defp release(_name, version), do: version
+  defp select_release("otp", version), do: version |> String.split(".") |> hd()
+  defp select_release(_name, version), do: version
 
   defp version_error(why) do
     Error.new(:other_version, "#{node()} runs other versions",

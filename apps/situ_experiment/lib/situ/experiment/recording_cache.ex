@@ -33,16 +33,13 @@ defmodule Situ.Experiment.RecordingCache do
   """
   @spec locate_session(Session.t(), inputs(), node()) :: {:ok, Session.t()} | {:error, Error.t()}
   def locate_session(%Session{partitions: partitions} = session, inputs, owner) do
-    Enum.reduce_while(partitions, {:ok, []}, fn partition, {:ok, located} ->
-      case locate_recording(partition.path, inputs[partition.name], owner) do
-        {:ok, path} -> {:cont, {:ok, [%{partition | path: path} | located]}}
-        {:error, error} -> {:halt, {:error, error}}
-      end
-    end)
-    |> case do
-      {:ok, located} -> {:ok, %{session | partitions: Enum.reverse(located)}}
-      error -> error
-    end
+    located =
+      Error.map_ok(partitions, fn partition ->
+        with {:ok, path} <- locate_recording(partition.path, inputs[partition.name], owner),
+             do: {:ok, %{partition | path: path}}
+      end)
+
+    with {:ok, partitions} <- located, do: {:ok, %{session | partitions: partitions}}
   end
 
   # An address, or a recording that does not exist: its error is the same here.

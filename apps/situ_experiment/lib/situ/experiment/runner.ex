@@ -234,7 +234,7 @@ defmodule Situ.Experiment.Runner do
   # A measurement needs no pipeline, and its recording is here.
   defp compute_trials(%{pool: %NodePool{} = pool} = state, waiting) do
     {measured, waiting} =
-      Enum.split_with(waiting, &recorded?(state.results[&1.key], state.context))
+      Enum.split_with(waiting, &output_exists?(state.results[&1.key], state.context))
 
     state = compute_here(state, measured)
     trials = for trial <- waiting, do: {trial, state.stamps[trial.session.name]}
@@ -272,17 +272,17 @@ defmodule Situ.Experiment.Runner do
   # A result is on disk before the task ends.
   defp compute_result(trial, context, known) do
     result =
-      if recorded?(known, context),
+      if output_exists?(known, context),
         do: Trial.measure_again(trial, context, known),
         else: Trial.run_trial(trial, context)
 
     with :ok <- ResultsFile.append_result(context.folder, result), do: {:ok, result}
   end
 
-  defp recorded?(%{"status" => "done", "output" => output}, context),
+  defp output_exists?(%{"status" => "done", "output" => output}, context),
     do: File.dir?(Path.join(context.folder, output))
 
-  defp recorded?(_known, _context), do: false
+  defp output_exists?(_known, _context), do: false
 
   defp put_result(state, trial, result) do
     failed = if result["status"] == "failed", do: 1, else: 0

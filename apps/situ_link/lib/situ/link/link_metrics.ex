@@ -6,11 +6,11 @@ defmodule Situ.Link.LinkMetrics do
   alias Situ.{Link, Time}
 
   @impl true
-  def collect_metrics, do: build(Link.links())
+  def collect_metrics, do: build_metrics(Link.links())
 
   @doc "Builds the metrics from the results of `Situ.Link.links/0`. Several links to the same address are joined."
-  @spec build([map()]) :: [Situ.Metrics.metric()]
-  def build(links) do
+  @spec build_metrics([map()]) :: [Situ.Metrics.metric()]
+  def build_metrics(links) do
     streams =
       for link <- links,
           {name, stats} <- link.streams,

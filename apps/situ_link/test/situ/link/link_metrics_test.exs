@@ -23,7 +23,7 @@ defmodule Situ.Link.LinkMetricsTest do
 
   test "writes the state of links and their streams" do
     assert LinkMetrics in Application.get_env(:situ_link, :metrics)
-    text = Situ.Metrics.to_text(LinkMetrics.build([link([])]))
+    text = Situ.Metrics.to_text(LinkMetrics.build_metrics([link([])]))
     assert text =~ ~s(situ_link_connected{address="situ://lab1"} 1\n)
     assert text =~ ~s(situ_link_round_trip_seconds{address="situ://lab1"} 0.003\n)
     assert text =~ ~s(situ_link_received_bytes_total{address="situ://lab1"} 4096\n)
@@ -39,10 +39,10 @@ defmodule Situ.Link.LinkMetricsTest do
         streams: %{"imu" => %{received: 0, lost: 0, under_way: 0, lag: nil}}
       )
 
-    text = Situ.Metrics.to_text(LinkMetrics.build([link([]), lost]))
+    text = Situ.Metrics.to_text(LinkMetrics.build_metrics([link([]), lost]))
     assert text =~ ~s(situ_link_connected{address="situ://lab1"} 0\n)
     assert text =~ ~s(situ_link_received_messages_total{address="situ://lab1",stream="imu"} 10\n)
-    refute Situ.Metrics.to_text(LinkMetrics.build([lost])) =~ "lag"
+    refute Situ.Metrics.to_text(LinkMetrics.build_metrics([lost])) =~ "lag"
   end
 
   test "the lag is measured when a message is taken, and grows while messages wait" do
@@ -56,12 +56,12 @@ defmodule Situ.Link.LinkMetricsTest do
     }
 
     channel = Channel.new(1, self(), request)
-    assert Channel.lag(channel, 5 * @second, false) == nil
+    assert Channel.measure_lag(channel, 5 * @second, false) == nil
     {:ok, channel} = Channel.accept_batch(channel, 100, 1 * @second, 1)
     channel = Channel.record_consumed(channel, 100, 1 * @second, 2 * @second)
-    assert Channel.lag(channel, 60 * @second, false) == 1 * @second
-    assert Channel.lag(channel, 60 * @second, true) == 59 * @second
+    assert Channel.measure_lag(channel, 60 * @second, false) == 1 * @second
+    assert Channel.measure_lag(channel, 60 * @second, true) == 59 * @second
     {:ok, channel} = Channel.accept_batch(channel, 100, 3 * @second, 1)
-    assert Channel.lag(channel, 60 * @second, false) == 59 * @second
+    assert Channel.measure_lag(channel, 60 * @second, false) == 59 * @second
   end
 end

@@ -47,7 +47,7 @@ defmodule Situ.Media.SmallCopies do
     cond do
       File.dir?(folder) -> {:reply, open_copy(folder), state}
       MapSet.member?(state.failed, name) -> {:reply, :none, state}
-      true -> {:reply, :pending, state |> enqueue(name, recording) |> start_next()}
+      true -> {:reply, :pending, state |> add_waiting(name, recording) |> start_next()}
     end
   end
 
@@ -75,9 +75,9 @@ defmodule Situ.Media.SmallCopies do
     end
   end
 
-  defp enqueue(%{running: {_, name}} = state, name, _recording), do: state
+  defp add_waiting(%{running: {_, name}} = state, name, _recording), do: state
 
-  defp enqueue(state, name, recording) do
+  defp add_waiting(state, name, recording) do
     if List.keymember?(state.waiting, name, 0),
       do: state,
       else: %{state | waiting: state.waiting ++ [{name, recording}]}
@@ -94,7 +94,8 @@ defmodule Situ.Media.SmallCopies do
   defp make_copy(%{root: root} = state, name, recording) do
     File.mkdir_p!(root)
     delete_oldest(state)
-    unfinished = Path.join(root, name <> ".unfinished")
+    # Another program may be making the same copy.
+    unfinished = Path.join(root, "#{name}.#{System.pid()}.unfinished")
     _ = File.rm_rf!(unfinished)
 
     with :ok <- SmallCopy.write_copy(recording, unfinished),

@@ -6,11 +6,11 @@ defmodule Situ.Store.StoreMetrics do
   alias Situ.Store.OpenRecordings
 
   @impl true
-  def collect_metrics, do: build(OpenRecordings.list_recordings())
+  def collect_metrics, do: build_metrics(OpenRecordings.list_recordings())
 
   @doc "Builds the metrics from the names of recordings and their bytes."
-  @spec build(%{String.t() => non_neg_integer()}) :: [Situ.Metrics.metric()]
-  def build(recordings) do
+  @spec build_metrics(%{String.t() => non_neg_integer()}) :: [Situ.Metrics.metric()]
+  def build_metrics(recordings) do
     [
       %{
         name: "situ_store_written_bytes_total",

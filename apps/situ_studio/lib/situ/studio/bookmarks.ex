@@ -25,17 +25,20 @@ defmodule Situ.Studio.Bookmarks do
   for everything else, such as running pipelines.
 
       iex> alias Situ.Studio.Bookmarks
-      iex> Bookmarks.path(%{id: "walk.0000", layers: {:recording, "/data/walk.0000"}}, "/layouts")
+      iex> Bookmarks.document_path(%{id: "walk.0000", layers: {:recording, "/data/walk.0000"}}, "/layouts")
       "/data/walk.0000.bookmarks"
-      iex> Bookmarks.path(%{id: "Robot arm", layers: nil}, "/layouts")
+      iex> Bookmarks.document_path(%{id: "Robot arm", layers: nil}, "/layouts")
       "/layouts/bookmarks/Robot%20arm.bookmarks"
   """
-  @spec path(%{:id => String.t(), :layers => term(), optional(atom()) => term()}, Path.t()) ::
+  @spec document_path(
+          %{:id => String.t(), :layers => term(), optional(atom()) => term()},
           Path.t()
-  def path(%{layers: {:recording, recording}}, _), do: recording <> ".bookmarks"
-  def path(%{layers: {:session, store, _}}, _), do: store <> ".bookmarks"
+        ) ::
+          Path.t()
+  def document_path(%{layers: {:recording, recording}}, _), do: recording <> ".bookmarks"
+  def document_path(%{layers: {:session, store, _}}, _), do: store <> ".bookmarks"
 
-  def path(%{id: id}, layouts),
+  def document_path(%{id: id}, layouts),
     do: Path.join([layouts, "bookmarks", URI.encode(id, &URI.char_unreserved?/1) <> ".bookmarks"])
 
   @doc "Reads the bookmarks by time; `[]` if there are none. Error: the file is damaged."
@@ -56,7 +59,7 @@ defmodule Situ.Studio.Bookmarks do
           {:ok, [t()]} | {:error, Error.t()}
   def edit(path, edit) do
     with {:ok, document} <- open_or_create(path),
-         {:ok, document} <- Document.edit(document, &apply_edit(&1, edit), by: author(edit)),
+         {:ok, document} <- Document.edit(document, &apply_edit(&1, edit), by: read_author(edit)),
          do: {:ok, parse(document.content)}
   end
 
@@ -75,8 +78,8 @@ defmodule Situ.Studio.Bookmarks do
     end
   end
 
-  defp author({_, %{"by" => by}}) when is_binary(by) and by != "", do: cut(by, @most_name)
-  defp author(_), do: nil
+  defp read_author({_, %{"by" => by}}) when is_binary(by) and by != "", do: cut(by, @most_name)
+  defp read_author(_), do: nil
 
   defp apply_edit(content, {:add, changes}) do
     all = bookmarks_of(content)

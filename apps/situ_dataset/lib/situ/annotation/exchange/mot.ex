@@ -5,7 +5,7 @@ defmodule Situ.Annotation.Exchange.Mot do
   # counted from 1. `times:` gives the times of the images. Without it, the images are the key frames, and images of a
   # file are read 40 ms apart.
   @behaviour Situ.Annotation.Exchange
-  alias Situ.Annotation
+  alias Situ.{Annotation, Error}
   alias Situ.Annotation.Attribute
   alias Situ.Annotation.Exchange.BoxTracks
 
@@ -40,18 +40,14 @@ defmodule Situ.Annotation.Exchange.Mot do
 
   @impl true
   def decode(text, opts) do
-    text
-    |> String.split(~r/\r?\n/, trim: true)
-    |> Enum.reduce_while({:ok, []}, fn line, {:ok, rows} ->
-      case parse_row(line) do
-        {:ok, row} -> {:cont, {:ok, [row | rows]}}
-        :error -> {:halt, {:error, "the line #{inspect(String.slice(line, 0, 60))} is not a box"}}
-      end
-    end)
-    |> case do
-      {:ok, rows} -> build_boxes(Enum.reverse(rows), opts)
-      error -> error
-    end
+    with {:ok, rows} <-
+           text |> String.split(~r/\r?\n/, trim: true) |> Error.map_ok(&parse_line/1),
+         do: build_boxes(rows, opts)
+  end
+
+  defp parse_line(line) do
+    with :error <- parse_row(line),
+         do: {:error, "the line #{inspect(String.slice(line, 0, 60))} is not a box"}
   end
 
   defp parse_row(line) do

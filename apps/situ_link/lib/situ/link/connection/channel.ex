@@ -146,10 +146,10 @@ defmodule Situ.Link.Connection.Channel do
   Returns how much older than the sender's clock the last consumed message was when it was consumed, in ns. With
   `waiting?`, later messages exist or may exist, so the lag is measured at the time `now`.
   """
-  @spec lag(t(), Situ.Time.t(), boolean()) :: Situ.Time.duration() | nil
-  def lag(%__MODULE__{consumed: nil}, _now, _waiting?), do: nil
+  @spec measure_lag(t(), Situ.Time.t(), boolean()) :: Situ.Time.duration() | nil
+  def measure_lag(%__MODULE__{consumed: nil}, _now, _waiting?), do: nil
 
-  def lag(%__MODULE__{} = channel, now, waiting?) do
+  def measure_lag(%__MODULE__{} = channel, now, waiting?) do
     at = if waiting? or channel.backlog > 0, do: now, else: channel.consumed_at
     max(at - channel.consumed, 0)
   end

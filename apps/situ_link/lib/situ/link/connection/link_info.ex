@@ -29,7 +29,7 @@ defmodule Situ.Link.Connection.LinkInfo do
   # A stream that has ended does not fall behind.
   defp describe_channel(channel, state) do
     waiting? = state.socket == nil and not channel.ended?
-    lag = Channel.lag(channel, sender_time(state), waiting?)
+    lag = Channel.measure_lag(channel, sender_time(state), waiting?)
     Map.put(Channel.channel_stats(channel), :lag, lag)
   end
 

@@ -85,7 +85,7 @@ defmodule Situ.Media.StoredVideo.FileCopy do
       fourcc: @fourcc[packet.codec],
       width: packet.width + rem(packet.width, 2),
       height: packet.height + rem(packet.height, 2),
-      setup: parameters(packet)
+      setup: find_parameter_sets(packet)
     }
 
     args =
@@ -104,14 +104,14 @@ defmodule Situ.Media.StoredVideo.FileCopy do
   defp format_args(_ending), do: ~w(-avoid_negative_ts disabled)
 
   # The units before the first image of a key frame.
-  defp parameters(%{codec: :h264, data: data}) do
+  defp find_parameter_sets(%{codec: :h264, data: data}) do
     case Regex.run(~r/\x00?\x00\x00\x01[\x05\x25\x45\x65\x06]/s, data, return: :index) do
       [{at, _}] -> binary_part(data, 0, at)
       nil -> ""
     end
   end
 
-  defp parameters(_packet), do: ""
+  defp find_parameter_sets(_packet), do: ""
 
   defp shape_of(packet), do: {packet.codec, packet.width, packet.height}
 

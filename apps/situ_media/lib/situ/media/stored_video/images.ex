@@ -112,7 +112,7 @@ defmodule Situ.Media.StoredVideo.Images do
 
   # Returns a decoder that takes the packet next, nil if the packet is a key frame, or the reason why there is none.
   defp prepare_decoder(state, ordinal, %VideoPacket{position: position}) do
-    case Enum.find(state.decoders, &continues?(&1, ordinal, position)) do
+    case Enum.find(state.decoders, &decoder_continues?(&1, ordinal, position)) do
       {from, decoder} = found ->
         state = %{state | decoders: List.delete(state.decoders, found)}
         {pass_packets(state, decoder, from, ordinal), state}
@@ -125,9 +125,9 @@ defmodule Situ.Media.StoredVideo.Images do
     end
   end
 
-  defp continues?({next, _decoder}, ordinal, 0), do: next == ordinal
+  defp decoder_continues?({next, _decoder}, ordinal, 0), do: next == ordinal
 
-  defp continues?({next, decoder}, ordinal, position) do
+  defp decoder_continues?({next, decoder}, ordinal, position) do
     ahead = ordinal - next
     ahead in 0..min(@most_ahead, position - 1)//1 and decoder.position + ahead == position
   end

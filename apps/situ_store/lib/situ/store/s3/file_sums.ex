@@ -20,16 +20,7 @@ defmodule Situ.Store.S3.FileSums do
     |> Path.join("{data,large}-*.situ")
     |> Path.wildcard()
     |> Enum.sort()
-    |> Enum.reduce_while({:ok, []}, fn path, {:ok, files} ->
-      case read_file(path) do
-        {:ok, file} -> {:cont, {:ok, [file | files]}}
-        error -> {:halt, error}
-      end
-    end)
-    |> case do
-      {:ok, files} -> {:ok, Enum.reverse(files)}
-      error -> error
-    end
+    |> Error.map_ok(&read_file/1)
   end
 
   defp read_file(path) do

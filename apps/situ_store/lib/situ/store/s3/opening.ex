@@ -52,8 +52,9 @@ defmodule Situ.Store.S3.Opening do
   @spec missing_error(Address.t()) :: Error.t()
   def missing_error(address) do
     Error.new(:no_store, "no recording at #{Address.format(address)}",
-      why: "there is no finished recording of this name",
-      fix: "`situ store list #{Address.format(Address.parent(address))}` lists those that exist"
+      why: "no finished recording has this name",
+      fix:
+        "`situ store list #{Address.format(Address.parent(address))}` lists the recordings there"
     )
   end
 

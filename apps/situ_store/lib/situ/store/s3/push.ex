@@ -242,16 +242,9 @@ defmodule Situ.Store.S3.Push do
   end
 
   defp upload_files(folder, address, {files, earlier}, journal, report) do
-    Enum.reduce_while(files, {:ok, []}, fn file, {:ok, uploaded} ->
-      case upload_file(folder, address, {file, earlier[file.name]}, journal, report) do
-        {:ok, file} -> {:cont, {:ok, [file | uploaded]}}
-        error -> {:halt, error}
-      end
+    Error.map_ok(files, fn file ->
+      upload_file(folder, address, {file, earlier[file.name]}, journal, report)
     end)
-    |> case do
-      {:ok, uploaded} -> {:ok, Enum.reverse(uploaded)}
-      error -> error
-    end
   end
 
   defp upload_file(

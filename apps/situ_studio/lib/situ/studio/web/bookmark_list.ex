@@ -14,7 +14,7 @@ defmodule Situ.Studio.Web.BookmarkList do
   @doc "Reads the bookmarks of the page's item, and subscribes to changes."
   @spec join(Socket.t()) :: Socket.t()
   def join(%{assigns: %{item: item, layout_dir: layouts, studio: studio}} = socket) do
-    path = Bookmarks.path(item, layouts)
+    path = Bookmarks.document_path(item, layouts)
 
     if connected?(socket),
       do: {:ok, _} = Registry.register(@registry, {studio, :bookmarks, path}, nil)

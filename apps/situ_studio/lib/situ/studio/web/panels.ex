@@ -172,13 +172,19 @@ defmodule Situ.Studio.Web.Panels do
           role="group" aria-label={stream_names(@panel)} data-kind={@panel.panel}
           data-config={PanelConfig.encode_config(@panel, @known)}></div></div>
       <div :if={@timeline and not @tab} class="panel-tools" role="toolbar" aria-label={stream_names(@panel)}>
-        <.drag_handle id={@panel.id} />
-        <.maximise_button panel={@panel} max={@max} />
-        <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
-            aria-label={"Properties of " <> stream_names(@panel)}><.icon name={:tune} /></button>
-        <.close_button panel={@panel} />
+        <.panel_buttons panel={@panel} max={@max} />
       </div>
     </section>
+    """
+  end
+
+  defp panel_buttons(assigns) do
+    ~H"""
+    <.drag_handle id={@panel.id} />
+    <.maximise_button panel={@panel} max={@max} />
+    <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
+        aria-label={"Properties of " <> stream_names(@panel)}><.icon name={:tune} /></button>
+    <.close_button panel={@panel} />
     """
   end
 
@@ -210,11 +216,7 @@ defmodule Situ.Studio.Web.Panels do
               phx-click="select_tab" phx-value-id={panel.id}
               title={stream_names(panel)}><.panel_title vis={panel.vis} /></button>
         </div>
-        <.drag_handle id={@active.id} />
-        <.maximise_button panel={@active} max={@max} />
-        <button class="mini" type="button" phx-click="select_panel" phx-value-id={@active.id} title="Properties"
-            aria-label={"Properties of " <> stream_names(@active)}><.icon name={:tune} /></button>
-        <.close_button panel={@active} />
+        <.panel_buttons panel={@active} max={@max} />
       </div>
       <.panel_box page={@page} part={@shown} style="flex: 1 1 0" tab />
     </div>

@@ -41,8 +41,8 @@ defmodule Situ.Studio.Web.DashboardTest do
 
     metrics =
       Situ.Metrics.collect() ++
-        StoreMetrics.build(%{"hall" => 1}) ++
-        LinkMetrics.build([link]) ++
+        StoreMetrics.build_metrics(%{"hall" => 1}) ++
+        LinkMetrics.build_metrics([link]) ++
         ClusterMetrics.build(vital, 1) ++ ClusterMetrics.build_leases(runners)
 
     for {_, {_, samples}} <- MetricsText.parse!(Situ.Metrics.to_text(metrics)),
