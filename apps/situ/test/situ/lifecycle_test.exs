@@ -272,6 +272,28 @@ defmodule Situ.LifecycleTest do
     assert {:tell, 1, {:untap, 1}} in actions
   end
 
+  # A source and two consumers of its part, all with new processes that have not started.
+  defp starting_again do
+    again = &%{&1 | status: :running, alive?: true, again?: true}
+    life = restarting(true)
+    %{life | stages: Map.new(life.stages, fn {id, member} -> {id, again.(member)} end)}
+  end
+
+  test "a source that has not started again is asked to stop when it has started" do
+    stop = {:stop_part, :ref, [1, 2, 3], %{catch_up: 0, from: :caller}}
+    {actions, life} = apply_events(starting_again(), [stop])
+    refute Enum.any?(actions, &match?({:tell, 1, {:stop, _}}, &1))
+    {actions, _life} = apply_events(life, [{:started, 1}])
+    assert {:tell, 1, {:stop, 9}} in actions
+  end
+
+  test "consumers that start after a source died before its start get closing marks" do
+    stop = {:stop_part, :ref, [1, 2, 3], %{catch_up: 0, from: :caller}}
+    {_actions, life} = apply_events(starting_again(), [stop, exited(1)])
+    {actions, _life} = apply_events(life, [{:started, 2}])
+    assert {:tell, 2, {:peer_gone, 1, 9}} in actions
+  end
+
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))

@@ -28,4 +28,15 @@ defmodule Situ.Test.Budget do
   @doc "Returns a seed for `:rand.seed(:exsss, seed)` in a process that a test starts."
   @spec random_seed() :: non_neg_integer()
   def random_seed, do: :rand.uniform(1_000_000_000)
+
+  @doc """
+  Returns the time limit, in ms, of a test that does more work with `bin/test --long`: ten minutes, or ten hours.
+  Without a limit, a test that waits forever would hang the whole run without being named.
+
+      iex> Situ.Test.Budget.time_limit_ms() >= 600_000
+      true
+  """
+  @spec time_limit_ms() :: pos_integer()
+  def time_limit_ms,
+    do: if(repeat_factor() > 1 or mutation_count(0) > 0, do: 36_000_000, else: 600_000)
 end

@@ -198,7 +198,7 @@ defmodule Situ.Lifecycle.Failure do
 
     state
     |> set_status([id], :dead)
-    |> update_member(id, &%{&1 | alive?: false})
+    |> update_member(id, &%{&1 | alive?: false, again?: false})
     |> clear_pending(id)
   end
 

@@ -47,7 +47,7 @@ defmodule Situ.Lifecycle.PartialStop do
       end)
 
     state = if opts[:checkpoint?], do: request_snapshots(state, ids), else: state
-    state = send_to_stages(state, sources, {:stop, final})
+    state = stop_started_sources(state, sources, final)
 
     forget = Map.get(opts, :forget, [])
 
@@ -109,6 +109,11 @@ defmodule Situ.Lifecycle.PartialStop do
 
   def find_ref(state, id),
     do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
+
+  @doc "Returns the time at which a source of a part that is being stopped has yet to stop, or `nil`."
+  @spec find_stop_time(State.t(), State.id()) :: Situ.Time.t() | nil
+  def find_stop_time(state, id),
+    do: Enum.find_value(state.parts, fn {_ref, part} -> id in part.pending && part.final end)
 
   @doc "Handles a source that has posted its last message."
   @spec mark_source_stopped(State.t(), State.id()) :: State.t()

@@ -60,7 +60,7 @@ defmodule Situ.Lifecycle.Shutdown do
     state = add_action(state, {:cut, cut, final})
     # Stages that wait for demand must not delay a manual stop.
     state = if state.ending.by_hand, do: add_action(state, {:release, complete}), else: state
-    state = send_to_stages(state, sources, {:stop, final})
+    state = stop_started_sources(state, sources, final)
     if state.ending.enough?, do: send_to_stages(state, sources, :stop_now), else: state
   end
 

@@ -6,7 +6,7 @@ defmodule Situ.Lifecycle.Startup do
   #   up        every stage has a process with its component's initial state
   #   sources   stages know their neighbours and `handle_start/2` has run in each
   #   running   messages flow
-  alias Situ.Lifecycle.{Links, Shutdown, State}
+  alias Situ.Lifecycle.{Links, PartialStop, Shutdown, State}
   import Situ.Lifecycle.State
 
   @doc "Begins the start, after `build/2` has built the graph, by calling the `:run` handlers."
@@ -54,10 +54,15 @@ defmodule Situ.Lifecycle.Startup do
   end
 
   def mark_started(state, id) do
-    state = state |> introduce_to_neighbours(id) |> add_action({:run, [id]})
+    state |> introduce_to_neighbours(id) |> add_action({:run, [id]}) |> repeat_stop(id)
+  end
 
-    # The request to the previous process was lost with it.
+  # The previous process was asked in vain, or this one was not asked because it had not started.
+  defp repeat_stop(state, id) do
+    stop_time = PartialStop.find_stop_time(state, id)
+
     case state do
+      _ when stop_time != nil -> send_to_stages(state, [id], {:stop, stop_time})
       %{step: :settle} -> send_to_stages(state, [id], :settle)
       %{phase: :stopping, ending: %{final: time}} -> send_to_stages(state, [id], {:stop, time})
       _ -> state

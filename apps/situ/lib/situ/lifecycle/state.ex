@@ -69,6 +69,14 @@ defmodule Situ.Lifecycle.State do
   def send_to_stages(state, ids, request),
     do: Enum.reduce(ids, state, &add_action(&2, {:tell, &1, request}))
 
+  @doc """
+  Asks these sources to stop at `time`. The new process of a restarted source is asked when it has started, since it has
+  no clock before.
+  """
+  @spec stop_started_sources(t(), [id()], Situ.Time.t()) :: t()
+  def stop_started_sources(state, ids, time),
+    do: send_to_stages(state, Enum.reject(ids, &state.stages[&1].again?), {:stop, time})
+
   @spec update_member(t(), id(), (Member.t() -> Member.t())) :: t()
   def update_member(state, id, fun),
     do: %{state | stages: Map.update!(state.stages, id, fun)}

@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.TransactionsTest do
   alias Situ.{Clock, Pipeline, Time}
 
   @moduletag :capture_log
-  @moduletag timeout: :infinity
+  @moduletag timeout: Situ.Test.Budget.time_limit_ms()
 
   # 10,000 rounds with `bin/test --long`.
   @rounds if(Situ.Test.Budget.repeat_factor() > 1, do: 500, else: 250) *

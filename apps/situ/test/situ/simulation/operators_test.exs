@@ -6,7 +6,7 @@ defmodule Situ.Simulation.OperatorsTest do
   alias Situ.{Delivery, Interval, Reproducible, Simulation}
   alias Situ.Fixture.Simulated
 
-  @moduletag timeout: :infinity
+  @moduletag timeout: Situ.Test.Budget.time_limit_ms()
 
   # Each run of a property is one graph, under some schedules.
   @schedules 12

@@ -5,7 +5,7 @@ defmodule Situ.Simulation.RestartsTest do
   alias Situ.{Delivery, Pipeline, Simulation, Test.Budget}
   alias Situ.Fixture.{Pass, Simulated}
 
-  @moduletag timeout: :infinity
+  @moduletag timeout: Situ.Test.Budget.time_limit_ms()
   @schedules 300 * Budget.repeat_factor()
   @killed [name: "Killed", on_error: :restart]
 
@@ -92,6 +92,58 @@ defmodule Situ.Simulation.RestartsTest do
     Simulation.check(&change_pipeline/0,
       schedules: div(@schedules, 2),
       kill: ["Map", "A.Map", "A.Sink", "B.Sink"]
+    )
+  end
+
+  # The request to stop reached the new process of the source before the pipeline's clock did. The source raised, its
+  # consumers had no closing mark, and the removal never ended.
+  test "of a source whose part is removed" do
+    Simulation.check(fn -> remove_part(fn p -> Pipeline.remove(p, "Own") end) end,
+      schedules: @schedules,
+      kill: ["Own.Killed", "Own.Killed", "Own.Sink"]
+    )
+  end
+
+  test "of a source whose pipeline is stopped" do
+    Simulation.check(fn -> remove_part(fn _p -> :ok end) end,
+      schedules: @schedules,
+      kill: ["Own.Killed", "Own.Killed", "Own.Sink"]
+    )
+  end
+
+  # A kill while the part is being added, removed or stopped is an error, and the only one.
+  defp remove_part(remove) do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        &Situ.from_enumerable(&1, Stream.iterate(0, fn n -> n + 1 end), every: 1_000_000),
+        pipeline: [max_restarts: 1_000]
+      )
+
+    if ok_or_killed(Pipeline.extend(p, &add_source(&1, me))) == :ok do
+      receive do: ({:own, n} when n >= 3 -> :ok)
+      ok_or_killed(remove.(p))
+    end
+
+    ok_or_killed(Pipeline.stop(p, catch_up: 0))
+  end
+
+  defp ok_or_killed({:error, error}), do: assert(%{reason: :killed} = error.meta)
+  defp ok_or_killed({:ok, _}), do: :ok
+  defp ok_or_killed(:ok), do: :ok
+
+  defp add_source(p, me) do
+    Situ.composite(
+      p,
+      "Own",
+      fn p ->
+        p
+        |> Situ.from_enumerable(Stream.iterate(0, &(&1 + 1)), every: 1_000_000, name: "Killed")
+        |> Situ.map(& &1, async: true)
+        |> Situ.each(&send(me, {:own, &1}), async: true, name: "Sink")
+      end,
+      on_error: :restart
     )
   end
 

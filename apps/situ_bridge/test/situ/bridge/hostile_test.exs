@@ -10,7 +10,7 @@ defmodule Situ.Bridge.HostileTest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  @moduletag timeout: :infinity
+  @moduletag timeout: Situ.Test.Budget.time_limit_ms()
   @data Path.expand("../../data", __DIR__)
 
   # Changes, cuts off, inserts or repeats some bytes.

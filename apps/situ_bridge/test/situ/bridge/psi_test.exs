@@ -248,7 +248,7 @@ defmodule Situ.Bridge.PsiTest do
 
   describe "damaged and hostile files" do
     @tag :tmp_dir
-    @tag timeout: :infinity
+    @tag timeout: Situ.Test.Budget.time_limit_ms()
     test "open and can be read, or return an error", %{tmp_dir: dir} do
       sources = [
         Path.join(@data, "objects"),

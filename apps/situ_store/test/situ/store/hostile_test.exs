@@ -9,7 +9,7 @@ defmodule Situ.Store.HostileTest do
   import Situ.Store.Test.Record, only: [message: 2]
 
   @moduletag :tmp_dir
-  @moduletag timeout: :infinity
+  @moduletag timeout: Situ.Test.Budget.time_limit_ms()
 
   defp setting(name, default), do: String.to_integer(System.get_env(name) || "#{default}")
 
