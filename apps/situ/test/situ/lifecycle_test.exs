@@ -216,6 +216,19 @@ defmodule Situ.LifecycleTest do
     refute Enum.any?(actions, &match?({:spawn, _}, &1))
   end
 
+  test "a source that is ending for a restart when the pipeline stops is no failure" do
+    life = put_in(restarting(false).stages[2], restarting(true).stages[3])
+    life = put_in(life.stages[2].id, 2)
+    life = %{life | links: Situ.Lifecycle.Links.new(%{2 => link(2, 3)})}
+
+    {_actions, life} =
+      apply_events(life, [{:stop, 0}, {:source_stopped, 1}, exited(2), {:finalized, 1}])
+
+    assert life.errors == []
+    assert %{2 => %{status: :dead}, 3 => %{status: :dead}} = life.stages
+    assert life.step == :quit
+  end
+
   test "a part that is restarting can be stopped, and does not restart" do
     opts = %{catch_up: 0, from: :caller}
 

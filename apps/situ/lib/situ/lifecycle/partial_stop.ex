@@ -93,13 +93,16 @@ defmodule Situ.Lifecycle.PartialStop do
   # A source that is asked to stop forgets its later timers and messages, so its position is the one before the stop.
   # Every stage reports its final state when it closes; a stage that has closed already does so now.
   defp request_snapshots(state, ids) do
-    sources = for id <- ids, state.stages[id].source?, do: id
+    sources = for id <- ids, %{source?: true, again?: false} <- [state.stages[id]], do: id
     closed = for id <- ids, not state.stages[id].open?, do: id
 
     state
-    |> send_to_stages(sources, {:remember, {:stopped, :before}})
+    |> request_source_snapshot(sources)
     |> send_to_stages(closed, {:remember, {:stopped, :after}})
   end
+
+  defp request_source_snapshot(state, sources),
+    do: send_to_stages(state, sources, {:remember, {:stopped, :before}})
 
   defp limit_member(member, time), do: %{member | limit: min(member.limit || time, time)}
 
@@ -110,10 +113,15 @@ defmodule Situ.Lifecycle.PartialStop do
   def find_ref(state, id),
     do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
 
-  @doc "Returns the time at which a source of a part that is being stopped has yet to stop, or `nil`."
-  @spec find_stop_time(State.t(), State.id()) :: Situ.Time.t() | nil
-  def find_stop_time(state, id),
-    do: Enum.find_value(state.parts, fn {_ref, part} -> id in part.pending && part.final end)
+  @doc "Repeats the requests to a source that has started again while its part is being stopped."
+  @spec repeat_stop(State.t(), State.id()) :: State.t() | nil
+  def repeat_stop(state, id) do
+    with %{} = part <-
+           Enum.find_value(state.parts, fn {_, part} -> id in part.pending && part end) do
+      state = if part.checkpoint?, do: request_source_snapshot(state, [id]), else: state
+      send_to_stages(state, [id], {:stop, part.final})
+    end
+  end
 
   @doc "Handles a source that has posted its last message."
   @spec mark_source_stopped(State.t(), State.id()) :: State.t()

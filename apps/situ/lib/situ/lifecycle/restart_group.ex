@@ -86,10 +86,10 @@ defmodule Situ.Lifecycle.RestartGroup do
 
     if state.phase == :running,
       do: respawn_when_ended(state, path),
-      else: close_ended(state, path, now)
+      else: state |> Failure.close_dead_stage(id, now) |> close_ended(path, now)
   end
 
-  # The pipeline ends, so stages that have ended for the restart, now or before, do not start again.
+  # The pipeline ends, so stages that have ended for the restart do not start again.
   defp close_ended(state, path, now) do
     for %{id: id, status: :restarting, alive?: false} <- open_members(state, path),
         reduce: state,

@@ -59,14 +59,12 @@ defmodule Situ.Lifecycle.Startup do
 
   # The previous process was asked in vain, or this one was not asked because it had not started.
   defp repeat_stop(state, id) do
-    stop_time = PartialStop.find_stop_time(state, id)
-
-    case state do
-      _ when stop_time != nil -> send_to_stages(state, [id], {:stop, stop_time})
-      %{step: :settle} -> send_to_stages(state, [id], :settle)
-      %{phase: :stopping, ending: %{final: time}} -> send_to_stages(state, [id], {:stop, time})
-      _ -> state
-    end
+    PartialStop.repeat_stop(state, id) ||
+      case state do
+        %{step: :settle} -> send_to_stages(state, [id], :settle)
+        %{phase: :stopping, ending: %{final: time}} -> send_to_stages(state, [id], {:stop, time})
+        _ -> state
+      end
   end
 
   defp introduce_to_neighbours(state, id) do

@@ -89,7 +89,10 @@ defmodule Situ.Lifecycle.State do
   defp change_status(member, :dead), do: %{member | status: :dead, open?: false}
   defp change_status(%{status: :dead} = member, _status), do: member
   defp change_status(member, :ended), do: %{member | status: :ended, open?: false}
-  defp change_status(%{status: :failed} = member, :closed), do: %{member | open?: false}
+  # A stage that was shut down for a restart is still expected to end.
+  defp change_status(%{status: status} = member, :closed) when status in [:failed, :restarting],
+    do: %{member | open?: false}
+
   defp change_status(member, :closed), do: %{member | status: :closed, open?: false}
   defp change_status(%{status: :running} = member, status), do: %{member | status: status}
   defp change_status(member, _status), do: member

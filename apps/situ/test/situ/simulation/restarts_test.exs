@@ -89,9 +89,16 @@ defmodule Situ.Simulation.RestartsTest do
   end
 
   test "while two other processes change the pipeline" do
-    Simulation.check(&change_pipeline/0,
+    Simulation.check(fn -> change_pipeline(&add_part/3) end,
       schedules: div(@schedules, 2),
       kill: ["Map", "A.Map", "A.Sink", "B.Sink"]
+    )
+  end
+
+  test "while two other processes change parts that restart as a whole" do
+    Simulation.check(fn -> change_pipeline(&add_unit/3) end,
+      schedules: div(@schedules, 2),
+      kill: ["A.Source", "A.Source", "A.Map", "B.Source", "B.Sink"]
     )
   end
 
@@ -100,14 +107,14 @@ defmodule Situ.Simulation.RestartsTest do
   test "of a source whose part is removed" do
     Simulation.check(fn -> remove_part(fn p -> Pipeline.remove(p, "Own") end) end,
       schedules: @schedules,
-      kill: ["Own.Killed", "Own.Killed", "Own.Sink"]
+      kill: ["Own.Source", "Own.Source", "Own.Sink"]
     )
   end
 
   test "of a source whose pipeline is stopped" do
     Simulation.check(fn -> remove_part(fn _p -> :ok end) end,
       schedules: @schedules,
-      kill: ["Own.Killed", "Own.Killed", "Own.Sink"]
+      kill: ["Own.Source", "Own.Source", "Own.Sink"]
     )
   end
 
@@ -121,8 +128,8 @@ defmodule Situ.Simulation.RestartsTest do
         pipeline: [max_restarts: 1_000]
       )
 
-    if ok_or_killed(Pipeline.extend(p, &add_source(&1, me))) == :ok do
-      receive do: ({:own, n} when n >= 3 -> :ok)
+    if ok_or_killed(Pipeline.extend(p, &add_unit(&1, me, "Own"))) == :ok do
+      receive do: ({"Own", n} when n >= 3 -> :ok)
       ok_or_killed(remove.(p))
     end
 
@@ -133,26 +140,13 @@ defmodule Situ.Simulation.RestartsTest do
   defp ok_or_killed({:ok, _}), do: :ok
   defp ok_or_killed(:ok), do: :ok
 
-  defp add_source(p, me) do
-    Situ.composite(
-      p,
-      "Own",
-      fn p ->
-        p
-        |> Situ.from_enumerable(Stream.iterate(0, &(&1 + 1)), every: 1_000_000, name: "Killed")
-        |> Situ.map(& &1, async: true)
-        |> Situ.each(&send(me, {:own, &1}), async: true, name: "Sink")
-      end,
-      on_error: :restart
-    )
-  end
-
-  defp change_pipeline do
+  defp change_pipeline(add) do
     me = self()
     {:ok, p} = Pipeline.start(&build(&1, me), pipeline: [max_restarts: 1_000])
 
     for {name, from} <- [{"A", :checkpoint}, {"B", :fresh}],
-        do: Simulation.spawn_process(name, fn -> change(p, me, name, from) end)
+        do:
+          Simulation.spawn_process(name, fn -> change(p, &add.(&1, me, name), name, from, me) end)
 
     for name <- ["A", "B"], do: receive(do: ({:changed, ^name} -> :ok))
     check_main_stream(Pipeline.await(p), drain([]))
@@ -166,9 +160,9 @@ defmodule Situ.Simulation.RestartsTest do
     |> Situ.each(&send(me, {:main, &1}), async: true)
   end
 
-  defp change(p, me, name, from) do
+  defp change(p, add, name, from, me) do
     for _ <- 1..2 do
-      result = Pipeline.extend(p, &add_part(&1, me, name))
+      result = Pipeline.extend(p, add)
       refused(result, [:not_running, :duplicate_name, :component_killed])
 
       result = Pipeline.stop_part(p, name, checkpoint: from == :checkpoint)
@@ -197,6 +191,23 @@ defmodule Situ.Simulation.RestartsTest do
       |> Situ.map(& &1, async: true, on_error: :restart, name: "Map")
       |> Situ.each(&send(me, {name, &1}), async: true, name: "Sink")
     end)
+
+    :ok
+  end
+
+  # A part with a source: if one of its stages is killed, all start again.
+  defp add_unit(p, me, name) do
+    Situ.composite(
+      p,
+      name,
+      fn p ->
+        p
+        |> Situ.from_enumerable(Stream.iterate(0, &(&1 + 1)), every: 1_000_000, name: "Source")
+        |> Situ.map(& &1, async: true, name: "Map")
+        |> Situ.each(&send(me, {name, &1}), async: true, name: "Sink")
+      end,
+      on_error: :restart
+    )
 
     :ok
   end
