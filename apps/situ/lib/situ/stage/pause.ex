@@ -16,7 +16,7 @@ defmodule Situ.Stage.Pause do
   defguard change(request)
            when request == :describe or
                   (is_tuple(request) and
-                     elem(request, 0) in [:tap, :untap, :replace, :guarantee, :lend])
+                     elem(request, 0) in [:tap, :untap, :peer, :replace, :guarantee, :lend])
 
   @doc """
   Returns when `{:thaw, ref}` arrives. `change` performs a request and returns the state and the component's actions.

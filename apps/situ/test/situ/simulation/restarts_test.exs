@@ -102,6 +102,24 @@ defmodule Situ.Simulation.RestartsTest do
     )
   end
 
+  # A paused source took the demand of a new consumer before it knew its process, so the demand was lost.
+  test "of a consumer while checkpoints are taken" do
+    Simulation.check(&take_checkpoints/0, schedules: @schedules, kill: ["Map", "Map", "Map"])
+  end
+
+  defp take_checkpoints do
+    me = self()
+    {:ok, p} = Pipeline.start(&build(&1, me), pipeline: [max_restarts: 1_000])
+
+    Simulation.spawn_process("Changes", fn ->
+      for _ <- 1..5, do: Pipeline.checkpoint(p, fn _snapshot -> :ok end)
+      send(me, {:changed, "Changes"})
+    end)
+
+    receive do: ({:changed, "Changes"} -> :ok)
+    check_main_stream(Pipeline.await(p), drain([]))
+  end
+
   # The request to stop reached the new process of the source before the pipeline's clock did. The source raised, its
   # consumers had no closing mark, and the removal never ended.
   test "of a source whose part is removed" do
