@@ -228,7 +228,7 @@ defmodule Situ.Lifecycle do
     do: clear_pending(state, id)
 
   defp apply_stage_event({:source_stopped, id}, state, _now) do
-    state = PartialStop.mark_source_stopped(state, id)
+    state = mark_source_stopped(state, id)
     if state.step == :stop, do: clear_pending(state, id), else: state
   end
 
@@ -256,7 +256,7 @@ defmodule Situ.Lifecycle do
     cond do
       state.stages[id].status == :restarting ->
         if PartialStop.find_ref(state, id),
-          do: PartialStop.handle_shutdown(state, id, now),
+          do: Failure.close_dead_stage(state, id, now),
           else: RestartGroup.handle_exit(state, id, now)
 
       fails_with_unit?(state.stages[id]) and RestartGroup.find_unit(state, id) ->

@@ -307,6 +307,15 @@ defmodule Situ.LifecycleTest do
     assert {:tell, 2, {:peer_gone, 1, 9}} in actions
   end
 
+  test "a pipeline that is stopped does not wait for a source that died while its part was being stopped" do
+    life = put_in(starting_again().links, Situ.Lifecycle.Links.new(%{}))
+    life = put_in(life.stages[2].source?, true)
+    stop_part = {:stop_part, :ref, [1], %{catch_up: 0, from: :caller}}
+    {_actions, life} = apply_events(life, [stop_part, {:stop, 1_000}, exited(1), {:settled, 2}])
+    {_actions, life} = apply_events(life, [{:source_stopped, 2}])
+    assert life.step == :quit
+  end
+
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))

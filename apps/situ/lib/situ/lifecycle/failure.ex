@@ -200,6 +200,7 @@ defmodule Situ.Lifecycle.Failure do
     |> set_status([id], :dead)
     |> update_member(id, &%{&1 | alive?: false, again?: false})
     |> clear_pending(id)
+    |> mark_source_stopped(id)
   end
 
   # Limits the stage and everything downstream of it: messages later than the failure do not count.

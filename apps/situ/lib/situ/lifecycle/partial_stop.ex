@@ -123,30 +123,11 @@ defmodule Situ.Lifecycle.PartialStop do
     end
   end
 
-  @doc "Handles a source that has posted its last message."
-  @spec mark_source_stopped(State.t(), State.id()) :: State.t()
-  def mark_source_stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
-
-  def mark_source_stopped(%{parts: parts} = state, id) do
-    parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
-    %{state | parts: parts}
-  end
-
-  @doc "Handles the end of a stage that was to restart when its part was stopped."
-  @spec handle_shutdown(State.t(), State.id(), Situ.Time.t()) :: State.t()
-  def handle_shutdown(state, id, now),
-    do: state |> Failure.close_dead_stage(id, now) |> mark_source_stopped(id)
-
   @doc "Handles the death of a stage during the stop of its part; the other stages continue without it."
   @spec handle_stage_death(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) ::
           State.t()
   def handle_stage_death(state, ref, id, error, now) do
-    state =
-      state
-      |> Failure.close_dead_stage(id, now)
-      |> mark_source_stopped(id)
-      |> add_action({:noted, error})
-
+    state = state |> Failure.close_dead_stage(id, now) |> add_action({:noted, error})
     part = state.parts[ref]
     %{state | parts: %{state.parts | ref => %{part | error: part.error || error}}}
   end

@@ -101,6 +101,15 @@ defmodule Situ.Lifecycle.State do
   @spec clear_pending(t(), id()) :: t()
   def clear_pending(state, id), do: %{state | pending: MapSet.delete(state.pending, id)}
 
+  @doc "Records that no part that is being stopped waits for the source: it has posted its last message, or has died."
+  @spec mark_source_stopped(t(), id()) :: t()
+  def mark_source_stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
+
+  def mark_source_stopped(%{parts: parts} = state, id) do
+    parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
+    %{state | parts: parts}
+  end
+
   @spec update_ending(t(), keyword()) :: t()
   def update_ending(state, changes), do: %{state | ending: struct!(state.ending, changes)}
 
