@@ -316,6 +316,16 @@ defmodule Situ.LifecycleTest do
     assert life.step == :quit
   end
 
+  test "the stages of a part that cannot start do not wait for each other" do
+    growth = %{step: :start, pending: MapSet.new([3]), lent: [], from: :caller, again?: true}
+    life = %{starting_again() | growths: %{ref: Map.put(growth, :ids, [1, 2, 3])}}
+    {actions, life} = apply_events(life, [exited(3)])
+    assert life.growths == %{}
+    told = for {:tell, 1, request} <- actions, do: request
+    assert {:untap, 1} in told
+    assert List.last(told) == :quit
+  end
+
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))

@@ -267,8 +267,14 @@ defmodule Situ.Lifecycle.Addition do
             Links.list_incoming(state.links, id) ++ Links.list_outgoing(state.links, id),
           do: tag
 
+    # A restored source may hold messages for a consumer of the part, which would keep it from ending.
+    started? = growth.step in [:start, :lend]
+
     untold =
-      for tag <- tags, tag in growth.lent, link = state.links.topology[tag], do: {link.from, tag}
+      for tag <- tags,
+          started? or tag in growth.lent,
+          link = state.links.topology[tag],
+          do: {link.from, tag}
 
     state =
       Enum.reduce(untold, state, fn {from, tag}, state ->
