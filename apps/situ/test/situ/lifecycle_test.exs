@@ -326,6 +326,14 @@ defmodule Situ.LifecycleTest do
     assert List.last(told) == :quit
   end
 
+  test "a stage that restarts gets the closing mark of a stream that had ended before its part was added" do
+    growth = %{step: :lend, pending: MapSet.new([1]), lent: [1], from: :caller, again?: false}
+    life = %{starting_again() | growths: %{ref: Map.put(growth, :ids, [2, 3])}}
+    {actions, life} = apply_events(life, [{:lent, 1, {:closed, 7}}])
+    assert {:tell, 2, {:peer_gone, 1, 7}} in actions
+    assert life.links.closing == %{1 => 7}
+  end
+
   # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))

@@ -153,7 +153,7 @@ defmodule Situ.Lifecycle.Addition do
 
         state =
           case how do
-            {:closed, time} -> send_to_stages(state, [to], {:peer_gone, tag, time})
+            {:closed, time} -> close_lent_link(state, tag, to, time)
             {:open, _last} -> state
           end
 
@@ -162,6 +162,12 @@ defmodule Situ.Lifecycle.Addition do
       nil ->
         state
     end
+  end
+
+  # The mark is recorded, because a consumer that restarts needs it again.
+  defp close_lent_link(state, tag, to, time) do
+    state = send_to_stages(state, [to], {:peer_gone, tag, time})
+    %{state | links: Links.close_link(state.links, tag, time)}
   end
 
   @doc "Handles the end of a stage's process: parts that are being added stop waiting for its stream."
