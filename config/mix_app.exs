@@ -3,7 +3,7 @@ defmodule Situ.MixApp do
 
   @doc "Returns the version of all apps."
   @spec version() :: String.t()
-  def version, do: "0.1.0"
+  def version, do: "1.0.0"
 
   @doc """
   Returns the configuration of the project `app`.

@@ -53,7 +53,7 @@ defmodule Situ.Integration do
     Keyword.merge(
       [
         app: app,
-        version: "0.1.0",
+        version: "1.0.0",
         elixir: "~> 1.14",
         # Mix must not remove the compiled Situ from the code path.
         prune_code_paths: false,

@@ -2,6 +2,7 @@
 # The files of an existing version are never made again, since old files are the point of them. A new version of a
 # format gets a new folder.
 Code.require_file("values.exs", __DIR__)
+{:ok, _} = Application.ensure_all_started(:situ_media)
 
 defmodule Make do
   alias Situ.{Annotation, Dataset, Message, Store}
@@ -17,7 +18,9 @@ defmodule Make do
     write_recording("damaged", recordings, [{"Ints", Enum.to_list(1..3_000), type: :integer}])
     damage(Path.join(recordings, "damaged.0000"))
     write_segments(recordings)
+    write_video(recordings)
     write_annotations(folder)
+    write_edits(folder)
     write_layout(folder)
     write_frames(folder)
     write_expected(folder, ~w(values.0000 damaged.0000 split))
@@ -129,35 +132,63 @@ defmodule Make do
     {:ok, _} = Dataset.save(dataset)
   end
 
+  # The layout of version 1, in the present form.
   defp write_layout(folder) do
-    alias Situ.Studio.Layout
-    alias Situ.Studio.Layout.{Panel, Visualization}
+    alias Situ.Studio.Layout.Json
 
-    line = %Visualization{
-      viz: "line",
-      stream: "Floats",
-      props: %{"width" => 2, "color" => "#4cc38a"}
+    {:ok, layout} = __DIR__ |> Path.join("1/layout.json") |> File.read!() |> Json.parse_json()
+    File.write!(Path.join(folder, "layout.json"), Json.to_json(layout))
+  end
+
+  # Ten images as video packets: a bright square that moves to the right.
+  defp write_video(root) do
+    picture = fn i ->
+      Situ.ImageOps.fill_rectangle!(
+        Situ.Image.new_filled(96, 64, :bgr24, 40),
+        {i * 8, 8, 16, 16},
+        color: 220
+      )
+    end
+
+    build = fn p ->
+      store = Store.create(p, "video", root)
+
+      p
+      |> Situ.from_enumerable(Enum.map(0..9, picture), every: Situ.Time.ms(40))
+      |> Situ.map(& &1, type: Situ.Image)
+      |> Store.write(store, "Camera", encode: :h264)
+    end
+
+    {:ok, _} =
+      Situ.Pipeline.run(build, pipeline: [replay: [interval: {@start, :unbounded}, speed: :max]])
+  end
+
+  # Logs of edits: of a dataset, of annotations that were not saved, and of bookmarks.
+  defp write_edits(folder) do
+    alias Situ.Annotation.{Editor, Layer}
+
+    {:ok, dataset} = Dataset.open(Path.join(folder, "study.json"))
+    {:ok, dataset} = Dataset.update(dataset, &Dataset.add_session(&1, "second"), by: "ada")
+    {:ok, _} = Dataset.update(dataset, &Dataset.rename_session(&1, "second", "last"), by: "ben")
+
+    path = Path.join(folder, "recordings/edited")
+    schema = Annotation.Schema.text("Notes")
+    {:ok, editor} = Editor.start_link(path: path, stream: "Notes", schema: schema)
+    {:ok, _} = Editor.edit(editor, &Layer.add(&1, Annotation.new(@start, @start + 10, "Ada")))
+    {:ok, _} = Editor.save(editor)
+    {:ok, _} = Editor.edit(editor, &Layer.add(&1, Annotation.new(@start, @start + 20, "Ben")))
+    {:ok, _} = Editor.edit(editor, &Layer.add(&1, Annotation.new(@start, @start + 30, "Cy")))
+    {:ok, _} = Editor.undo(editor)
+    :ok = Editor.stop(editor)
+
+    bookmark = %{
+      "from" => "#{@start}",
+      "to" => "#{@start + 5}",
+      "text" => "look here",
+      "by" => "ada"
     }
 
-    image = %Visualization{viz: "image", stream: "Images"}
-
-    layout = %Layout{
-      name: "golden",
-      rows: [
-        %Panel{
-          id: "p1",
-          panel: :plot,
-          height: 120,
-          vis: [line],
-          axis: {-1.5, 40},
-          threshold: {:above, 30}
-        },
-        %Panel{id: "p2", panel: :image, row: "r1", vis: [image]},
-        %Panel{id: "p3", panel: :value, row: "r1", vis: [%{image | viz: "value"}]}
-      ]
-    }
-
-    File.write!(Path.join(folder, "layout.json"), Layout.Json.to_json(layout))
+    {:ok, _} = Situ.Studio.Bookmarks.edit(Path.join(folder, "study.bookmarks"), {:add, bookmark})
   end
 
   # Every frame of the link protocol, version 1.

@@ -13,6 +13,8 @@ defmodule Situ.CLI do
   # Verbs are tables (`Situ.CLI.Verb`), which `situ completion` and `situ manual` use as well.
   alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
 
+  @version Mix.Project.config()[:version]
+
   # Plug-ins add file formats and tasks to these commands.
   @extended ~w(store dataset task query annotate)
 
@@ -116,7 +118,7 @@ defmodule Situ.CLI do
 
   @doc "Returns the version of Situ."
   @spec version() :: String.t()
-  def version, do: to_string(Application.spec(:situ_cli, :vsn) || "0.1.0")
+  def version, do: @version
 
   # Users see an expected failure as a sentence, not as a stack trace.
   defp rescue_errors(work) do

@@ -29,7 +29,7 @@ from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Po
 from .video import decode_video
 from .writer import Writer, create
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 __all__ = [
     "AbandonedWarning",
     "Atom",

@@ -30,6 +30,8 @@ defmodule Situ.Store.Writer do
   not lose them. On an error, none of the messages is written and the writer is unchanged.
   """
 
+  @program "situ #{Mix.Project.config()[:version]}"
+
   @options [
     versioned: [type: :boolean, default: true, doc: "Create a subfolder `NAME.NNNN`."],
     durability: [
@@ -127,7 +129,7 @@ defmodule Situ.Store.Writer do
       # Messages on disk can only be found if the folder's name is on disk, too.
       if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
-      record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}
+      record = %{kind: "store", name: name, writer: @program, volatile: opts[:volatile]}
 
       case append_catalog(writer, record) do
         {:ok, _} -> {:ok, writer}
