@@ -17,8 +17,10 @@ defmodule Situ.Bridge.MixProject do
           Situ.Bridge.Psi,
           Situ.Bridge.Mcap,
           Situ.Bridge.Ros.Bag,
-          Situ.Bridge.Ros.Db3
-        ]
+          Situ.Bridge.Ros.Db3,
+          Situ.Bridge.TableRecording
+        ],
+        file_kinds: [Situ.Bridge.TableKinds]
       ]
     )
   end

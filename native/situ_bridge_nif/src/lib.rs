@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
-use rustler::{Atom, Binary, Encoder, Env, NewBinary, ResourceArc, Term};
+use rustler::{Atom, Binary, Encoder, Env, NewBinary, NifResult, ResourceArc, Term};
 use situ_mcap::{ChannelSpec, Compression, Error, Message, Options, Query, Reader, Times, Writer};
 
 mod atoms {
@@ -291,19 +291,24 @@ fn mcap_write<'a>(
     (atoms::ok(), messages.len()).encode(env)
 }
 
+/// Writes an attachment; `times` is `{log_time, create_time}`, or one time for both.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_attach<'a>(
     env: Env<'a>,
     handle: ResourceArc<WriterResource>,
     name: String,
     media_type: String,
-    time: u64,
+    times: Term<'a>,
     data: Binary<'a>,
-) -> Term<'a> {
+) -> NifResult<Term<'a>> {
+    let times = match times.decode::<(u64, u64)>() {
+        Ok(times) => times,
+        Err(_) => times.decode::<u64>().map(|time| (time, time))?,
+    };
     let result = handle
         .lock()
-        .write_attachment(&name, &media_type, time, &data);
-    encode_result(env, result.map(|()| atoms::nil()))
+        .write_attachment(&name, &media_type, times, &data);
+    Ok(encode_result(env, result.map(|()| atoms::nil())))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]

@@ -113,17 +113,17 @@ impl Writer {
             .map_err(|e| Error::mcap("write", e))
     }
 
-    /// Appends an attachment.
+    /// Appends an attachment, which was recorded and created at `times`.
     pub fn write_attachment(
         &mut self,
         name: &str,
         media_type: &str,
-        time: u64,
+        times: (u64, u64),
         data: &[u8],
     ) -> Result<()> {
         let attachment = mcap::Attachment {
-            log_time: time,
-            create_time: time,
+            log_time: times.0,
+            create_time: times.1,
             name: name.to_string(),
             media_type: media_type.to_string(),
             data: Cow::Borrowed(data),

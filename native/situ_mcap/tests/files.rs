@@ -52,7 +52,7 @@ fn write_file(name: &str, compression: Compression, finish: bool) -> PathBuf {
         }
     }
     assert_eq!(
-        writer.write_attachment("note.txt", "text/plain", 5, b"hello"),
+        writer.write_attachment("note.txt", "text/plain", (5, 4), b"hello"),
         Ok(())
     );
     assert_eq!(writer.flush(), Ok(()));

@@ -173,8 +173,9 @@ defmodule Situ.Bridge.McapRecords do
     body =
       <<length(file.messages)::little-64, length(file.schemas)::little-16,
         length(file.channels)::little-32, length(file.attachments)::little-32,
-        length(file.metadata)::little-32, chunks::little-32, Enum.min(times)::little-64,
-        Enum.max(times)::little-64, byte_size(counts)::little-32>> <> counts
+        length(file.metadata)::little-32, chunks::little-32,
+        Enum.min(times, fn -> 0 end)::little-64, Enum.max(times, fn -> 0 end)::little-64,
+        byte_size(counts)::little-32>> <> counts
 
     record(11, body, features)
   end

@@ -50,6 +50,12 @@ defmodule Situ.Bridge.Mcap do
   def extensions, do: [".mcap"]
 
   @impl true
+  def kinds do
+    kind = %Situ.Recording.FileKind{name: :mcap, title: "MCAP", extensions: extensions()}
+    [%{kind | open: __MODULE__, export: extensions(), signatures: [{0, <<0x89, "MCAP0\r\n">>}]}]
+  end
+
+  @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, ref} <- NativeError.wrap_result(Native.mcap_open(path), path) do
@@ -251,14 +257,8 @@ defmodule Situ.Bridge.Mcap do
 
   @doc false
   # Makes `Situ.Bridge.Recorder.StoreExport` read messages as maps with all their fields.
-  def as_maps(%__MODULE__{channels: channels} = state) do
-    maps =
-      Map.new(channels, fn {id, c} ->
-        {id, %{c | codec: Codec.set_message_mode(c.codec, :maps)}}
-      end)
-
-    %{state | channels: maps}
-  end
+  def as_maps(%__MODULE__{channels: channels} = state),
+    do: %{state | channels: Codec.read_maps(channels)}
 
   @doc "Returns the attachments of an opened file: the name, media type, time (ns) and size of each."
   @spec list_attachments(Situ.Store.t()) :: [

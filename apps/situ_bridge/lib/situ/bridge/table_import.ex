@@ -90,6 +90,10 @@ defmodule Situ.Bridge.TableImport do
 
   defp stream_rows(path, format, _notice), do: Bridge.File.messages(path, format)
 
+  @doc "Returns the times and values of a table. `notice` receives sentences about what is skipped."
+  @spec read_table(Path.t(), (String.t() -> term())) :: Enumerable.t()
+  def read_table(path, notice), do: stream_rows(path, detect_format(path), notice)
+
   # Returns the common type of all values, or `:any` for a pipe, because a pipe can be read only once.
   defp value_type(path, messages) do
     if File.regular?(path) do

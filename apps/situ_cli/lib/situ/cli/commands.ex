@@ -8,6 +8,7 @@ defmodule Situ.CLI.Commands do
     Devices,
     Doctor,
     Experiment,
+    FileKinds,
     Interactive,
     New,
     Plugin,
@@ -49,6 +50,7 @@ defmodule Situ.CLI.Commands do
     Talk,
     Serve,
     Devices,
+    FileKinds,
     Plugin,
     Release,
     Shell

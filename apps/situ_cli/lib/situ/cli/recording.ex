@@ -5,7 +5,7 @@ defmodule Situ.CLI.Recording do
   alias Situ.Store
   alias Situ.Recording.Formats
 
-  @format_apps [:situ_media, :situ_bridge, :situ_dataset, :situ_link]
+  @format_apps [:situ_store, :situ_media, :situ_bridge, :situ_dataset, :situ_link, :situ_space]
 
   @doc "Opens a recording or raises an error."
   @spec open!(Path.t()) :: Store.t()

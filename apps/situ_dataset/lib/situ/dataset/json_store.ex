@@ -32,6 +32,17 @@ defmodule Situ.Dataset.JsonStore do
   def extensions, do: [".json"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :json_store,
+        title: "\\psi store in JSON",
+        extensions: extensions(),
+        open: __MODULE__
+      }
+    ]
+
+  @impl true
   def open(path, _opts) do
     with {:ok, base} <- base_path(path),
          {:ok, catalog} <- read_array(base <> ".Catalog.json"),

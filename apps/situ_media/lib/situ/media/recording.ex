@@ -17,11 +17,32 @@ defmodule Situ.Media.Recording do
   @impl true
   defdelegate open(path, opts), to: OpenFile
 
+  @videos ~w(.mp4 .m4v .mov .mkv .webm .avi .mpg .mpeg .m2ts .mts .flv .wmv .3gp .ogv)
+  @sounds ~w(.mp3 .m4a .aac .flac .ogg .oga .opus .mka)
+
   @impl true
-  def extensions do
-    ~w(.mp4 .m4v .mov .mkv .webm .avi .mpg .mpeg .m2ts .mts .flv .wmv .3gp .ogv) ++
-      ~w(.mp3 .m4a .aac .flac .ogg .oga .opus .mka)
-  end
+  def extensions, do: @videos ++ @sounds
+
+  @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :video,
+        title: "Video",
+        extensions: @videos,
+        signatures: [{4, "ftyp"}, {0, <<0x1A, 0x45, 0xDF, 0xA3>>}],
+        open: __MODULE__,
+        # `Situ.Media.copy_video/4` writes these.
+        export: ~w(.mp4 .mov .mkv .webm)
+      },
+      %Situ.Recording.FileKind{
+        name: :audio,
+        title: "Compressed audio",
+        extensions: @sounds,
+        signatures: [{0, "fLaC"}, {0, "OggS"}, {0, "ID3"}],
+        open: __MODULE__
+      }
+    ]
 
   @impl true
   def info(recording) do

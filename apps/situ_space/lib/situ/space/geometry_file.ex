@@ -29,7 +29,28 @@ defmodule Situ.Space.GeometryFile do
   def read(path, opts \\ []), do: with({:ok, scan} <- open(path, opts), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".dae", ".glb", ".gltf", ".las", ".laz", ".obj", ".pcd", ".ply", ".stl"]
+  def extensions, do: Enum.flat_map(kinds(), & &1.extensions)
+
+  # Parsers are chosen by extension, so there are no signatures.
+  @impl true
+  def kinds do
+    for {name, title, extensions} <- [
+          {:collada, "Collada scene", [".dae"]},
+          {:gltf, "glTF scene", [".glb", ".gltf"]},
+          {:las, "LAS and LAZ point cloud", [".las", ".laz"]},
+          {:obj, "Wavefront OBJ mesh", [".obj"]},
+          {:pcd, "PCD point cloud", [".pcd"]},
+          {:ply, "PLY point cloud or mesh", [".ply"]},
+          {:stl, "STL mesh", [".stl"]}
+        ] do
+      %Situ.Recording.FileKind{
+        name: name,
+        title: title,
+        extensions: extensions,
+        open: __MODULE__
+      }
+    end
+  end
 
   @impl true
   def open(path, opts) do

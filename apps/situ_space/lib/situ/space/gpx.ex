@@ -25,6 +25,17 @@ defmodule Situ.Space.Gpx do
   def extensions, do: [".gpx"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :gpx,
+        title: "GPX track",
+        extensions: extensions(),
+        open: __MODULE__
+      }
+    ]
+
+  @impl true
   def open(path, _opts) do
     with {:ok, points, untimed} <- FileParser.read_and_parse(path, @most, &parse/1),
          do: {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}

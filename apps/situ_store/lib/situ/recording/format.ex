@@ -50,5 +50,16 @@ defmodule Situ.Recording.Format do
   """
   @callback import_options(times :: :header | :record) :: keyword()
 
-  @optional_callbacks schemes: 0, locate: 1, resolve: 1, list_recordings: 1, import_options: 1
+  @doc """
+  Returns the kinds of files of this format, for `situ formats`, and so that files open by their first bytes, too.
+  Without this callback, there is one kind with the format's extensions.
+  """
+  @callback kinds() :: [Situ.Recording.FileKind.t()]
+
+  @optional_callbacks schemes: 0,
+                      locate: 1,
+                      resolve: 1,
+                      list_recordings: 1,
+                      import_options: 1,
+                      kinds: 0
 end

@@ -163,7 +163,7 @@ defmodule Situ.Store.Copying do
 
   # Opens an external file with options that preserve all of its data.
   defp open_source(path, times) do
-    reader = if File.regular?(path), do: Formats.for_file(path)
+    reader = if File.regular?(path), do: Formats.for_file(path) || Formats.for_content(path)
 
     if reader && function_exported?(reader, :import_options, 1),
       do: Query.open(path, reader_opts: reader.import_options(times)),

@@ -17,6 +17,17 @@ defmodule Situ.Store.Csv do
   def extensions, do: [".csv", ".tsv"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :csv,
+        title: "CSV and TSV",
+        extensions: extensions(),
+        open: __MODULE__
+      }
+    ]
+
+  @impl true
   def open(path, opts) do
     with {:ok, %{type: :regular, size: size}} <- File.stat(path),
          {:ok, scan} <- Scan.scan_file(path, opts) do

@@ -71,13 +71,14 @@ defmodule Situ.Store.Locator do
   end
 
   defp find_reader(path) do
-    with nil <- Formats.for_file(path) do
+    with nil <- Formats.for_file(path), nil <- Formats.for_content(path) do
       known = Formats.list_formats() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
 
       {:error,
        Error.new(:unknown_format, "no reader for #{path}",
          why: "there are readers for #{known} and for store folders",
-         fix: "specify one with `reader: Module`"
+         fix:
+           "`situ formats` lists what Situ reads and writes; a program can name a `reader: Module`"
        )}
     else
       module -> {:ok, path, module}

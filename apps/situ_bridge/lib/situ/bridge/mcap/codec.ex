@@ -114,6 +114,14 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec set_message_mode(t(), :situ | :maps | :apart) :: t()
   def set_message_mode(codec, messages), do: %{codec | maps?: messages == :maps}
 
+  @doc "Makes the tracks of a reader, by their numbers, return messages as maps with all their fields."
+  @spec read_maps(%{term() => map()}) :: %{term() => map()}
+  def read_maps(tracks) do
+    Map.new(tracks, fn {id, track} ->
+      {id, %{track | codec: set_message_mode(track.codec, :maps)}}
+    end)
+  end
+
   @doc "Returns the options with which an import opens a file."
   @spec import_options(times :: atom()) :: keyword()
   def import_options(times),

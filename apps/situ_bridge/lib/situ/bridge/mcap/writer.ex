@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Mcap.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
+  @behaviour Situ.Bridge.Raw.Writer
   # An MCAP file and its channels. The native writer holds the current chunk and receives messages in batches, because
   # each native call switches threads, which costs more than a small message.
   alias Situ.Bridge.Mcap.{Channel, ExtraFields, NativeError, Options}
-  alias Situ.Bridge.Native
+  alias Situ.Bridge.{Native, RawChannel}
   alias Situ.Error
 
   # `channels` maps topics to channels with the sequence number of the next message.
@@ -47,6 +48,11 @@ defmodule Situ.Bridge.Mcap.Writer do
   defp load_attachment({name, media_type, time, data} = attachment)
        when is_binary(name) and is_binary(media_type) and is_binary(data) and
               time in 0..0xFFFF_FFFF_FFFF_FFFF,
+       do: {:ok, attachment}
+
+  # The time of recording and the time of creation.
+  defp load_attachment({_name, _media_type, {log_time, created}, _data} = attachment)
+       when is_integer(log_time) and is_integer(created),
        do: {:ok, attachment}
 
   defp load_attachment(file) when is_binary(file) do
@@ -102,15 +108,43 @@ defmodule Situ.Bridge.Mcap.Writer do
          {:ok, sent} <- check_time(topic, sent) do
       row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes}
 
-      flush_if_full(%{
-        writer
-        | channels: Map.put(writer.channels, topic, {channel, sequence + 1}),
-          count: writer.count + 1,
-          rows: [row | writer.rows],
-          row_count: writer.row_count + 1,
-          bytes: writer.bytes + byte_size(bytes)
-      })
+      channels = Map.put(writer.channels, topic, {channel, sequence + 1})
+      append_row(%{writer | channels: channels}, row)
     end
+  end
+
+  # MCAP holds messages of any encoding.
+  @impl true
+  def refuse_channel(_channel), do: nil
+
+  @impl true
+  def add_channel(writer, %RawChannel{} = channel) do
+    with {:ok, id} <-
+           NativeError.wrap_result(
+             Native.mcap_channel(
+               writer.ref,
+               channel.topic,
+               channel.encoding,
+               channel.schema,
+               channel.metadata
+             ),
+             writer.path
+           ),
+         do: {:ok, id, writer}
+  end
+
+  @impl true
+  def write_row(writer, id, {log_time, publish_time, sequence, bytes}),
+    do: append_row(writer, {id, sequence, log_time, publish_time, bytes})
+
+  defp append_row(writer, {_id, _sequence, _log_time, _publish_time, bytes} = row) do
+    flush_if_full(%{
+      writer
+      | count: writer.count + 1,
+        rows: [row | writer.rows],
+        row_count: writer.row_count + 1,
+        bytes: writer.bytes + byte_size(bytes)
+    })
   end
 
   @max_rows 500

@@ -41,16 +41,21 @@ defmodule Situ.Bridge.Recorder.StoreExport do
         {:ok, writer} ->
           with {:ok, _} <- job.module.finish(writer), do: {:ok, writer.count}
 
-        {:error, name, %{code: :not_writable} = error} ->
-          if json_allowed?(job, name) and not MapSet.member?(json, name),
-            do: write_file(job, MapSet.put(json, name)),
-            else: {:error, error}
-
-        {:error, _name, error} ->
-          {:error, error}
+        {:error, name, error} ->
+          # An open writer would write its index into the file that the next one creates.
+          _ = job.module.finish(writer)
+          retry_as_json(job, json, name, error)
       end
     end
   end
+
+  defp retry_as_json(job, json, name, %{code: :not_writable} = error) do
+    if json_allowed?(job, name) and not MapSet.member?(json, name),
+      do: write_file(job, MapSet.put(json, name)),
+      else: {:error, error}
+  end
+
+  defp retry_as_json(_job, _json, _name, error), do: {:error, error}
 
   defp json_allowed?(job, name) do
     topic = Map.fetch!(job.topics, name)

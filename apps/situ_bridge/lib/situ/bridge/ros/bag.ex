@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Ros.Bag do
 
   alias Situ.Bridge.Mcap.{Codec, ExtraFields}
   alias Situ.Bridge.Recorder.{StoreExport, Exporter}
-  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
+  alias Situ.Bridge.Ros.Bag.{Index, MessageReader, RealSense, Record, Writer}
   alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
@@ -32,18 +32,29 @@ defmodule Situ.Bridge.Ros.Bag do
   @behaviour Situ.Recording
   @behaviour Situ.Recording.Format
 
-  @max_bytes 16 * 1024 * 1024
-
   defstruct [:path, :size, :name, :contents, :tracks, :streams, :notes]
 
   @impl true
   def extensions, do: [".bag", ".active"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :bag,
+        title: "ROS 1 bag",
+        extensions: extensions(),
+        signatures: [{0, "#ROSBAG V"}],
+        open: __MODULE__,
+        export: [".bag"]
+      }
+    ]
+
+  @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, %{size: size}} <- stat_file(path),
-         {:ok, contents} <- with_file(path, &Index.read(&1, size)) do
+         {:ok, size} <- MessageReader.file_size(path),
+         {:ok, contents} <- MessageReader.with_file(path, &Index.read(&1, size)) do
       state = %__MODULE__{
         path: path,
         size: size,
@@ -55,38 +66,6 @@ defmodule Situ.Bridge.Ros.Bag do
            do: {:ok, put_streams(%{state | tracks: tracks})}
     end
   end
-
-  defp stat_file(path) do
-    with {:error, reason} <- File.stat(path), do: {:error, build_error({:io, reason}, path)}
-  end
-
-  # Any process may call a reader, but a raw file belongs to one process, so the file is opened for each call.
-  defp with_file(path, fun) do
-    case :file.open(path, [:read, :raw, :binary]) do
-      {:ok, file} ->
-        result = fun.(file)
-        :file.close(file)
-
-        with {:error, reason} when not is_struct(reason, Error) <- result,
-             do: {:error, build_error(reason, path)}
-
-      {:error, reason} ->
-        {:error, build_error({:io, reason}, path)}
-    end
-  end
-
-  defp build_error({:io, reason}, path),
-    do: Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))
-
-  defp build_error(:not_bag, path),
-    do: Error.new(:not_bag, "#{path} is not a bag", why: "it does not begin with #ROSBAG V2.0")
-
-  defp build_error({:version, version}, path),
-    do:
-      Error.new(:not_bag, "#{path} is a bag of version #{version}",
-        why: "only version 2.0 can be read",
-        fix: "convert it with `rosbag fix`"
-      )
 
   # Connections with the same topic and type form one stream.
   defp build_tracks(state, opts) do
@@ -137,15 +116,18 @@ defmodule Situ.Bridge.Ros.Bag do
   defp read_first(state, track) do
     with %{count: count} when count > 0 <- track,
          {:ok, [{_, {_, bytes}}]} <-
-           read_messages(state, [MessageIndex.row_at(track.positions, 0)]),
+           MessageReader.read_messages(state.path, state.size, [
+             MessageIndex.row_at(track.positions, 0)
+           ]),
          {:ok, data} <- Codec.decode(track.codec, bytes),
          do: data,
          else: (_ -> nil)
   end
 
   defp put_stamps(state, positions) do
-    case read_messages(
-           state,
+    case MessageReader.read_messages(
+           state.path,
+           state.size,
            Enum.sort_by(positions, fn {_, chunk, offset} -> {chunk, offset} end)
          ) do
       {:ok, messages} ->
@@ -209,12 +191,8 @@ defmodule Situ.Bridge.Ros.Bag do
 
   @doc false
   # Makes `Situ.Bridge.Recorder.StoreExport` read all the fields of a message, as maps.
-  def as_maps(%__MODULE__{tracks: tracks} = state) do
-    maps =
-      Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
-
-    %{state | tracks: maps}
-  end
+  def as_maps(%__MODULE__{tracks: tracks} = state),
+    do: %{state | tracks: Codec.read_maps(tracks)}
 
   @impl true
   def info(state) do
@@ -263,7 +241,7 @@ defmodule Situ.Bridge.Ros.Bag do
   end
 
   defp decode_messages(state, track, positions, ordinal, envelopes?) do
-    with {:ok, messages} <- read_messages(state, positions) do
+    with {:ok, messages} <- MessageReader.read_messages(state.path, state.size, positions) do
       messages =
         for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(messages, ordinal) do
           recorded = if track.stamps? and recorded != nil, do: recorded, else: time
@@ -298,58 +276,6 @@ defmodule Situ.Bridge.Ros.Bag do
       {:error, why} -> %Undecoded{codec: "ros1", bytes: bytes, reason: why}
     end
   end
-
-  # Reads the recording times and bytes of as many messages as fit into a batch. A chunk is unpacked once for
-  # consecutive messages.
-  defp read_messages(state, positions) do
-    with_file(state.path, fn file ->
-      positions
-      |> Enum.chunk_by(&elem(&1, 1))
-      |> Enum.reduce_while({:ok, [], 0}, fn [{_, at, _} | _] = group, {:ok, messages, bytes} ->
-        case Chunk.read(file, at, state.size) do
-          _ when bytes > @max_bytes ->
-            {:halt, {:ok, messages, bytes}}
-
-          {:ok, records} ->
-            collect_group(records, group, messages, bytes, at)
-
-          {:error, why} ->
-            {:halt,
-             {:error,
-              Error.new(:damaged, "the chunk at byte #{at} of #{state.path} cannot be read",
-                why: why
-              )}}
-        end
-      end)
-    end)
-    |> case do
-      {:ok, messages, _} -> {:ok, messages |> Enum.reverse() |> Enum.concat()}
-      error -> error
-    end
-  end
-
-  defp collect_group(records, group, messages, bytes, at) do
-    rows = for {_, _, offset} = position <- group, do: {position, parse_record(records, offset)}
-
-    if Enum.any?(rows, &(elem(&1, 1) == nil)),
-      do:
-        {:halt,
-         {:error,
-          Error.new(:damaged, "the index of the chunk at byte #{at} does not point to a message")}},
-      else:
-        {:cont,
-         {:ok, [rows | messages],
-          bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
-  end
-
-  defp parse_record(records, offset) when offset < byte_size(records) do
-    case Record.take_record(binary_part(records, offset, byte_size(records) - offset)) do
-      {:ok, :message, fields, data, _rest} -> {Record.parse_time(fields["time"]), data}
-      _ -> nil
-    end
-  end
-
-  defp parse_record(_records, _offset), do: nil
 
   # Writing
 

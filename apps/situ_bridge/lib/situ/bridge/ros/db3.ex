@@ -9,12 +9,13 @@ defmodule Situ.Bridge.Ros.Db3 do
   Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
   Iron, or with ROS's standard definitions. Standard types become Situ's types (the table in `Situ.Bridge.Ros`). Each
   file of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the
-  file in a separate process. The file is never modified.
+  file in a separate process. An opened file is never modified. `export/3` writes a new file.
   """
 
   alias Situ.Bridge.Mcap.{Codec, ExtraFields}
-  alias Situ.Bridge.Ros.Db3.Sqlite
-  alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
+  alias Situ.Bridge.Recorder.StoreExport
+  alias Situ.Bridge.Ros.Db3.{Sqlite, Summary, Topics, Writer}
+  alias Situ.Bridge.Ros.{Definition, MessageIndex, TopicTrack}
   alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -41,23 +42,30 @@ defmodule Situ.Bridge.Ros.Db3 do
   def extensions, do: [".db3"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :db3,
+        title: "ROS 2 bag (SQLite)",
+        extensions: extensions(),
+        open: __MODULE__,
+        export: [".db3"],
+        program: "sqlite3"
+      }
+    ]
+
+  @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, topics} <-
-           Sqlite.query(
-             path,
-             "select id, name, type, serialization_format from topics order by id"
-           ),
-         {:ok, definitions} <- read_definitions(path),
+         {:ok, topics} <- Topics.read_topics(path),
+         {:ok, definitions} <- Topics.read_definitions(path),
          {:ok, rows} <-
            Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
       positions =
         rows |> Enum.flat_map(&parse_position/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
       tracks =
-        for topic <- topics,
-            track = build_track(topic, definitions, positions, opts[:messages]),
-            do: track
+        for topic <- topics, do: build_track(topic, definitions, positions, opts[:messages])
 
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
            do:
@@ -80,76 +88,41 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   # Parses the topic and position of a message. SQLite allows text in numeric columns; such rows are skipped.
   defp parse_position(row) do
-    for [topic, time, id, size] <- parse_numbers(row),
+    for [topic, time, id, size] <- Topics.parse_numbers(row),
         id >= 0,
         size >= 0,
         do: {topic, {time, id, size}}
   end
 
-  defp parse_numbers(row) do
-    parsed = Enum.map(row, &Integer.parse/1)
-    if Enum.all?(parsed, &match?({_, ""}, &1)), do: [Enum.map(parsed, &elem(&1, 0))], else: []
+  defp build_track(topic, definitions, positions, messages) do
+    name = Definition.strip_kind(topic.type)
+    schema = find_schema(topic.type, definitions)
+    {codec, situ, note} = Codec.new(topic.format, schema, topic.name)
+    rows = Map.get(positions, topic.id, [])
+
+    %{
+      id: topic.id,
+      topic: topic.name,
+      type: name,
+      codec: Codec.set_message_mode(codec, messages),
+      situ: situ,
+      note: note,
+      recorded: rows |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end),
+      places: MessageIndex.pack(rows),
+      stamps?: false,
+      schema: if(messages == :apart, do: schema)
+    }
   end
 
-  # Files from before Iron contain no definitions.
-  defp read_definitions(path) do
-    table_sql =
-      "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
-
-    definitions_sql =
-      "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
-
-    with {:ok, [_]} <- Sqlite.query(path, table_sql),
-         {:ok, rows} <- Sqlite.query(path, definitions_sql) do
-      {:ok,
-       for(
-         [type, "ros2msg", hex] <- rows,
-         {:ok, text} <- [Base.decode16(hex)],
-         into: %{},
-         do: {type, text}
-       )}
+  defp find_schema(type, definitions) do
+    with %{^type => {"ros2msg", text}} when text != "" <- definitions do
+      {type, "ros2msg", text}
     else
-      {:ok, []} -> {:ok, %{}}
-      error -> error
-    end
-  end
-
-  defp build_track([id, topic, type, format], definitions, positions, messages) do
-    case Integer.parse(id) do
-      {id, ""} ->
-        name = Definition.strip_kind(type)
-
-        schema =
-          case {definitions, Library.fetch(name, :ros2)} do
-            {%{^type => text}, _} when text != "" -> {type, "ros2msg", text}
-            {_, {:ok, text}} -> {type, "ros2msg", text}
-            _ -> nil
-          end
-
-        {codec, situ, note} = Codec.new(format, schema, topic)
-        codec = Codec.set_message_mode(codec, messages)
-
-        rows = Map.get(positions, id, [])
-
-        %{
-          id: id,
-          topic: topic,
-          type: name,
-          codec: codec,
-          situ: situ,
-          note: note,
-          recorded: rows |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end),
-          places: MessageIndex.pack(rows),
-          stamps?: false,
-          schema: if(messages == :apart, do: schema)
-        }
-
       _ ->
-        nil
+        with text when text != nil <- Topics.standard_definition(type),
+             do: {type, "ros2msg", text}
     end
   end
-
-  defp build_track(_other, _definitions, _positions, _messages), do: nil
 
   # Takes originating times from the headers of messages that begin with one.
   defp put_stamps(tracks, path, :header) do
@@ -228,12 +201,8 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   @doc false
   # Makes `Situ.Bridge.Recorder.StoreExport` read all the fields of a message, as maps.
-  def as_maps(%__MODULE__{tracks: tracks} = state) do
-    maps =
-      Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
-
-    %{state | tracks: maps}
-  end
+  def as_maps(%__MODULE__{tracks: tracks} = state),
+    do: %{state | tracks: Codec.read_maps(tracks)}
 
   @impl true
   def info(state) do
@@ -291,7 +260,7 @@ defmodule Situ.Bridge.Ros.Db3 do
       {:ok,
        for(
          [id, recorded, hex] <- data_by_id,
-         [id, recorded] <- parse_numbers([id, recorded]),
+         [id, recorded] <- Topics.parse_numbers([id, recorded]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
          do: {id, {recorded, if(not envelopes?, do: decode_data(bytes, track.codec))}}
@@ -320,4 +289,25 @@ defmodule Situ.Bridge.Ros.Db3 do
       {:error, why} -> %Undecoded{codec: "cdr", bytes: bytes, reason: why}
     end
   end
+
+  @doc """
+  Writes a recording to a new bag of ROS 2, with the messages in order of time. Returns `{:ok, count}`. Accepts the
+  options `from:`, `to:` and `skip_damage:` of `Situ.Store.messages/3`, `streams:` (the names of the streams to write)
+  and `progress:` (a function that gets the number of messages written so far). Values are encoded as standard
+  messages of ROS 2 (the table in `Situ.Bridge.Ros`).
+
+  If the file is the only one of its folder, `metadata.yaml` is written next to it, so that ROS 2 can play the folder.
+  `Situ.Bridge.RawMessages.copy/3` writes bags without encoding messages again.
+  """
+  @spec export(Situ.Store.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
+  def export(store, path, opts \\ []) do
+    with {:ok, count} <- StoreExport.export_store(Writer, store, path, opts),
+         :ok <- Summary.write_beside(path),
+         do: {:ok, count}
+  end
+
+  @doc false
+  # For the command line, which gives files their names when they are complete.
+  defdelegate write_beside(path), to: Summary
 end

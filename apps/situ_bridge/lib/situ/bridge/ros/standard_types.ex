@@ -109,6 +109,7 @@ defmodule Situ.Bridge.Ros.StandardTypes do
   def ros_type(%AudioBuffer{}), do: "audio_common_msgs/AudioData"
   def ros_type(text) when is_binary(text), do: "std_msgs/String"
   def ros_type(b) when is_boolean(b), do: "std_msgs/Bool"
+  def ros_type(n) when is_integer(n) and n > 0x7FFF_FFFF_FFFF_FFFF, do: "std_msgs/UInt64"
   def ros_type(n) when is_integer(n), do: "std_msgs/Int64"
 
   def ros_type(x) when is_float(x) or x in [:nan, :infinity, :neg_infinity],

@@ -21,6 +21,10 @@ defmodule Situ.CLI.Store.Copying do
   @new_file [kind: :new, doc: "ROOT/NAME of the new store, or a file (.mcap, .bag, .csv ...)"]
   @mcap "An MCAP file copied to another keeps every byte of its messages, their times, schemas and attachments."
 
+  @kept """
+  An MCAP file or a bag stays one: OUT gets its extension unless it has one. `situ store import` makes a store of it.
+  """
+
   @impl true
   def verbs do
     copy_verbs() ++
@@ -28,7 +32,7 @@ defmodule Situ.CLI.Store.Copying do
         %Verb{
           words: ["store", "crop"],
           summary: "create a store with an interval of a recording",
-          about: @about,
+          about: @about <> @kept,
           arguments: [path: @recording, out: @new_file],
           options:
             [
@@ -43,20 +47,29 @@ defmodule Situ.CLI.Store.Copying do
           aliases: ["merge"],
           summary:
             "concatenate several recordings into one store; streams of the same name are joined",
-          about: @about,
-          arguments: [path: Keyword.put(@recording, :many, true), out: @new],
+          about:
+            @about <>
+              "MCAP files and bags are merged into a file (.mcap, .bag, .db3) without a change of their messages, " <>
+              "in order of time.",
+          arguments: [path: Keyword.put(@recording, :many, true), out: @new_file],
           options: Arguments.stream_options() ++ interval_options() ++ storage_options(),
-          examples: ["situ store concat monday tuesday week"],
+          examples: [
+            "situ store concat monday tuesday week",
+            "situ store concat monday.mcap tuesday.bag week.mcap -s '/imu'"
+          ],
           run: fn %{path: paths, out: out}, opts ->
-            check_store!("concat", out)
             paths = Recording.expand_patterns(paths)
-            write_store(paths, out, opts, &Store.concat(paths, out, copy_options(opts, &1)))
+
+            if Export.format_from_extension(out),
+              do: merge_files(paths, out, opts),
+              else:
+                write_store(paths, out, opts, &Store.concat(paths, out, copy_options(opts, &1)))
           end
         },
         %Verb{
           words: ["store", "split"],
           summary: "cut a recording into stores of equal length, OUT-001, OUT-002 ...",
-          about: @about,
+          about: @about <> @kept,
           arguments: [path: @recording, out: @new],
           options:
             [Option.new(:every, :span, "the length of each store")] ++
@@ -129,7 +142,9 @@ defmodule Situ.CLI.Store.Copying do
       arguments: [path: @recording, out: @new_file],
       options: Arguments.stream_options() ++ interval_options() ++ storage_options(),
       examples: examples,
-      run: fn arguments, opts -> copy_recording(arguments, put_defaults(word, opts)) end
+      run: fn arguments, opts ->
+        copy_recording(word, arguments, put_defaults(word, opts))
+      end
     }
   end
 
@@ -139,10 +154,35 @@ defmodule Situ.CLI.Store.Copying do
   defp put_defaults("copy", opts), do: opts
 
   # The file's extension selects the format, as with `situ store save`.
-  defp copy_recording(%{path: path, out: out}, opts) do
+  defp copy_recording(word, %{path: path, out: out}, opts) when word != "copy",
+    do: copy_recording("copy", %{path: path, out: keep_extension(path, out)}, opts)
+
+  defp copy_recording("copy", %{path: path, out: out}, opts) do
     if Export.format_from_extension(out),
       do: Export.save_file(%{path: path, file: out}, opts),
       else: write_store([path], out, opts, &Store.copy(path, out, copy_options(opts, &1)))
+  end
+
+  # Prints the name if it is not the given one.
+  defp save_kept(path, out, kept, opts) do
+    0 = Export.save_file(%{path: path, file: kept}, opts)
+    if kept != out and opts[:json] != true, do: Output.puts(kept)
+    0
+  end
+
+  # Cutting does not change the kind of a file.
+  defp keep_extension(path, out) do
+    extension = Path.extname(path)
+
+    if File.regular?(path) and Export.format_from_extension(path) in [:mcap, :bag, :db3] and
+         Export.format_from_extension(out) == nil,
+       do: out <> extension,
+       else: out
+  end
+
+  defp merge_files(paths, out, opts) do
+    Recording.load_formats(paths)
+    Export.merge_files(paths, out, opts)
   end
 
   # Some verbs can only create stores.
@@ -182,8 +222,10 @@ defmodule Situ.CLI.Store.Copying do
     if Keyword.take(opts, [:from, :to, :start, :length]) == [],
       do: throw({:usage, "no interval given: give --start and --length, or --from and --to"})
 
-    if Export.format_from_extension(out),
-      do: Export.save_file(%{path: path, file: out}, Arguments.parse_interval!(path, opts)),
+    kept = keep_extension(path, out)
+
+    if Export.format_from_extension(kept),
+      do: save_kept(path, out, kept, Arguments.parse_interval!(path, opts)),
       else: write_store([path], out, opts, &Store.crop(path, out, copy_options(opts, &1)))
   end
 
@@ -214,12 +256,31 @@ defmodule Situ.CLI.Store.Copying do
   defp make_parts(path, out, {first, last, every}, opts) do
     for {from, n} <- Enum.with_index(first..last//every, 1),
         name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}",
-        made = make_part(path, name, {from, min(from + every - 1, last)}, opts),
+        made =
+          make_part(path, keep_extension(path, name), {from, min(from + every - 1, last)}, opts),
         do: made
   end
 
   # No store is created for an interval without messages.
   defp make_part(path, name, {from, to}, opts) do
+    if Export.format_from_extension(name),
+      do: save_part(path, name, [from: from, to: to] ++ opts),
+      else: copy_part(path, name, {from, to}, opts)
+  end
+
+  defp save_part(path, name, opts) do
+    store = Recording.open!(path)
+
+    if Enum.any?(Store.streams(store), &messages_between?(store, &1, opts[:from], opts[:to])) do
+      0 = Export.save_file(%{path: path, file: name}, Keyword.delete(opts, :json))
+      name
+    end
+  end
+
+  defp messages_between?(store, info, from, to),
+    do: store |> Store.messages(info, from: from, to: to, envelopes: true) |> Enum.any?()
+
+  defp copy_part(path, name, {from, to}, opts) do
     UnfinishedOutput.remove_store_at_exit(name)
 
     Progress.with_progress(Path.basename(name), opts, fn progress ->

@@ -2,40 +2,13 @@ defmodule Situ.CLI.Store.Export do
   @moduledoc false
   # `situ store save`: writes messages to files that other programs can read.
   @behaviour Situ.CLI.Verb
-  alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
-  alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
+  alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, RawMessages, Ros}
+  alias Situ.CLI.{FileKinds, Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, OutputFile, Protobuf}
   alias Situ.{Error, Store}
 
-  @formats %{
-    "arrow" => :arrow,
-    "csv" => :csv,
-    "json" => :json,
-    "json_lines" => :json_lines,
-    "message_pack" => :message_pack,
-    "parquet" => :parquet,
-    "protobuf" => :protobuf,
-    "mcap" => :mcap,
-    "bag" => :bag,
-    "video" => :video
-  }
-  @endings %{
-    ".arrow" => :arrow,
-    ".csv" => :csv,
-    ".json" => :json,
-    ".jsonl" => :json_lines,
-    ".msgpack" => :message_pack,
-    ".parquet" => :parquet,
-    ".pb" => :protobuf,
-    ".mcap" => :mcap,
-    ".bag" => :bag,
-    ".mp4" => :video,
-    ".mov" => :video,
-    ".mkv" => :video,
-    ".webm" => :video
-  }
   # Files of these formats contain complete recordings.
-  @recordings %{mcap: Mcap, bag: Ros.Bag}
+  @recordings %{mcap: Mcap, bag: Ros.Bag, db3: Ros.Db3}
   @tables %{parquet: Parquet, arrow: Arrow}
 
   @impl true
@@ -45,7 +18,7 @@ defmodule Situ.CLI.Store.Export do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, bag, MP4",
+          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, bags, MP4",
         about: """
         MCAP files and bags contain all or the selected streams. Other files contain one stream; with --on, a table
         contains several streams, joined on time. CSV, JSON and MessagePack have the layouts of Situ.Bridge.Format,
@@ -62,7 +35,7 @@ defmodule Situ.CLI.Store.Export do
           file: [
             kind: :file,
             doc:
-              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .arrow, .pb, .mcap, .bag, .mp4 ...); - " <>
+              "the file to write (.csv, .json, .parquet, .mcap, .bag, .db3, .mp4 ...; `situ formats` lists all); - " <>
                 "for standard output"
           ]
         ],
@@ -71,7 +44,7 @@ defmodule Situ.CLI.Store.Export do
             [
               Option.new(
                 :format,
-                @formats |> Map.keys() |> Enum.sort(),
+                FileKinds.export_words(),
                 "the format, regardless of the file's extension",
                 short: :m
               ),
@@ -118,12 +91,15 @@ defmodule Situ.CLI.Store.Export do
 
   @doc "Returns the format of a file by its extension, or `nil`."
   @spec format_from_extension(Path.t()) :: atom()
-  def format_from_extension(file), do: @endings[file |> Path.extname() |> String.downcase()]
+  def format_from_extension(file) do
+    extension = file |> Path.extname() |> String.downcase()
+    Enum.find_value(FileKinds.list_exports(), &(extension in &1.export && &1.name))
+  end
 
   @doc "Writes the file; takes the arguments and options of the verb."
   @spec save_file(map(), keyword()) :: 0
   def save_file(%{path: path, file: file}, opts) do
-    format = @formats[opts[:format]] || format_from_extension(file)
+    format = FileKinds.find_export(opts[:format]) || format_from_extension(file)
 
     unless format,
       do:
@@ -148,36 +124,15 @@ defmodule Situ.CLI.Store.Export do
     0
   end
 
-  # An MCAP file is copied to another MCAP file record by record.
-  defp write_format(:mcap, %{module: Mcap} = store, infos, file, opts, progress) do
-    reject_join!(opts)
-    refuse_stdout!(file, :mcap)
-    total = infos |> Enum.map(& &1.count) |> Enum.sum()
-    all? = length(infos) == length(Store.streams(store))
-    names = unless all?, do: Enum.map(infos, & &1.name)
-    carried = [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
-    written = [progress: &progress.(&1, total)] ++ compression_option(:mcap, opts[:compression])
-    copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ read_options(opts)
-
-    copied =
-      OutputFile.write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
-
-    for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
-    Map.put(copied, :streams, length(infos))
-  end
-
+  # Messages of MCAP files and bags are copied as they are where the new format allows it.
   defp write_format(format, store, infos, file, opts, progress)
        when is_map_key(@recordings, format) do
     reject_join!(opts)
     refuse_stdout!(file, format)
-    total = infos |> Enum.map(& &1.count) |> Enum.sum()
-    names = Enum.map(infos, & &1.name)
-    written = [progress: &progress.(&1, total)] ++ compression_option(format, opts[:compression])
 
-    exporting = [streams: names] ++ read_options(opts) ++ written ++ carried_options(format, opts)
-
-    count = OutputFile.write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
-    %{messages: count, streams: length(names)}
+    if RawMessages.copyable?(store, format, Enum.map(infos, & &1.name)),
+      do: copy_raw(format, store, infos, file, opts, progress),
+      else: encode_recording(format, store, infos, file, opts, progress)
   end
 
   defp write_format(format, store, infos, file, opts, progress)
@@ -245,6 +200,81 @@ defmodule Situ.CLI.Store.Export do
     %{messages: Format.record_count(state), stream: info.name}
   end
 
+  defp copy_raw(format, store, infos, file, opts, progress) do
+    all? = length(infos) == length(Store.streams(store))
+    names = unless all?, do: Enum.map(infos, & &1.name)
+    total = infos |> Enum.map(& &1.count) |> Enum.sum()
+    copying = [streams: names, progress: &progress.(&1, total)] ++ Keyword.take(opts, [:order])
+    {format, file} |> write_raw([store], copying, opts) |> Map.put(:streams, length(infos))
+  end
+
+  @doc "Merges several MCAP files or bags into a new one; returns the exit status."
+  @spec merge_files([Path.t()], Path.t(), keyword()) :: 0
+  def merge_files(paths, file, opts) do
+    format = format_from_extension(file)
+    stores = Enum.map(paths, &Recording.open!/1)
+
+    for store <- stores, not RawMessages.copyable?(store, format) do
+      raise Error.new(:not_raw, "#{store.path} cannot be merged into #{Path.basename(file)}",
+              why: "files are merged without encoding messages again, which its messages need",
+              fix: "create a store, then run `situ store convert STORE #{file}`"
+            )
+    end
+
+    UnfinishedOutput.remove_file_at_exit(file)
+    total = for store <- stores, info <- Store.streams(store), do: info.count
+
+    merged =
+      Progress.with_progress("write", opts, fn progress ->
+        copying = [streams: choose_names(stores, opts), progress: &progress.(&1, Enum.sum(total))]
+        write_raw({format, file}, stores, copying, opts)
+      end)
+
+    if opts[:json], do: Output.print_json(Map.put(merged, :file, file)), else: Output.puts(file)
+    0
+  end
+
+  # A stream that only some of the files have is copied from these.
+  defp choose_names(stores, opts) do
+    if (opts[:stream] || []) != [] or (opts[:exclude] || []) != [] do
+      infos = Enum.flat_map(stores, &Store.streams/1)
+      for name <- infos |> Enum.map(& &1.name) |> Enum.uniq(), chosen?(name, opts), do: name
+    end
+  end
+
+  defp chosen?(name, opts) do
+    matches? = fn patterns -> Enum.any?(patterns, &Arguments.name_matches?(name, &1)) end
+    chosen = opts[:stream] || []
+    (chosen == [] or matches?.(chosen)) and not matches?.(opts[:exclude] || [])
+  end
+
+  defp write_raw({format, file}, stores, copying, opts) do
+    written =
+      [format: format, name: Path.basename(file)] ++
+        compression_option(format, opts[:compression]) ++ carried_options(format, opts)
+
+    copying = copying ++ read_options(opts) ++ written
+    copied = OutputFile.write_then_rename!(file, &RawMessages.copy(stores, &1, copying))
+    if format == :db3, do: Error.unwrap!(Ros.Db3.write_beside(file))
+    for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
+    copied
+  end
+
+  defp encode_recording(format, store, infos, file, opts, progress) do
+    total = infos |> Enum.map(& &1.count) |> Enum.sum()
+    names = Enum.map(infos, & &1.name)
+    written = [progress: &progress.(&1, total)] ++ compression_option(format, opts[:compression])
+    named = if format == :db3, do: [name: Path.basename(file)], else: []
+
+    exporting =
+      [streams: names] ++
+        named ++ read_options(opts) ++ written ++ carried_options(format, opts)
+
+    count = OutputFile.write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
+    if format == :db3, do: Error.unwrap!(Ros.Db3.write_beside(file))
+    %{messages: count, streams: length(names)}
+  end
+
   defp write_table(nil, module, {store, info, _chosen}, file, _opts, written),
     do: %{
       messages: Error.unwrap!(module.write(store, info.name, file, written)),
@@ -288,7 +318,8 @@ defmodule Situ.CLI.Store.Export do
       reraise error, __STACKTRACE__
   end
 
-  defp known_extensions, do: @endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")
+  defp known_extensions,
+    do: FileKinds.list_exports() |> Enum.flat_map(& &1.export) |> Enum.sort() |> Enum.join(", ")
 
   defp read_options(opts),
     do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])

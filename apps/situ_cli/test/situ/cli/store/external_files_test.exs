@@ -119,7 +119,6 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
     out = Path.join(root, "out.mcap")
 
     for argv <- [
-          ["concat", @drive, @drive, out],
           ["split", @drive, out, "--every", "1s"],
           ["edit", @drive, out, "--set", "/chatter@0=1"]
         ] do
@@ -127,5 +126,49 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
     end
 
     assert File.ls!(root) == []
+  end
+
+  defp bytes_by_topic(paths) do
+    stores = paths |> List.wrap() |> Enum.map(&Situ.Store.open!/1)
+
+    stores
+    |> Situ.Bridge.RawMessages.stream()
+    |> Enum.map(&{&1.channel.topic, &1.log_time, &1.bytes})
+    |> Enum.sort()
+  end
+
+  test "cutting and merging keep the kind of a file and its bytes", %{tmp_dir: root} do
+    path = &Path.join(root, &1)
+    drive = bytes_by_topic(@drive)
+
+    assert {0, said} = situ(["crop", @drive, path.("start"), "--length", "2s"])
+    assert String.trim(said) == path.("start.mcap")
+    assert {0, _} = situ(["compress", @drive, path.("small")])
+    assert bytes_by_topic(path.("small.mcap")) == drive
+    assert bytes_by_topic(path.("start.mcap")) -- drive == []
+
+    assert {0, said} = situ(["split", @drive, path.("part"), "--every", "2s", "--json"])
+    assert {:ok, %{"paths" => parts}} = Situ.JSON.decode(said)
+    assert Enum.map(parts, &Path.basename/1) == ~w(part-001.mcap part-002.mcap part-003.mcap)
+    assert bytes_by_topic(parts) == drive
+
+    assert {0, _} = situ(["merge" | parts] ++ [path.("whole.bag"), "--compression", "lz4"])
+    assert bytes_by_topic(path.("whole.bag")) == drive
+
+    assert {0, _} =
+             situ(["concat", path.("whole.bag"), @drive, path.("two.mcap"), "-s", "/chatter"])
+
+    chatter = for {"/chatter", _, _} = row <- drive, do: row
+    assert bytes_by_topic(path.("two.mcap")) == Enum.sort(chatter ++ chatter)
+  end
+
+  test "writes a bag of ROS 2 with its summary", %{tmp_dir: root} do
+    File.mkdir!(Path.join(root, "walk"))
+    bag = Path.join([root, "walk", "walk_0.db3"])
+    assert {0, _} = situ(["save", @drive, bag, "-s", "/chatter"])
+    assert File.read!(Path.join([root, "walk", "metadata.yaml"])) =~ "- \"walk_0.db3\""
+    store = Situ.Store.open!(bag)
+    assert {:ok, [%{data: "tick" <> _} | _]} = Situ.Store.read(store, "/chatter")
+    assert File.ls!(Path.join(root, "walk")) |> Enum.sort() == ["metadata.yaml", "walk_0.db3"]
   end
 end

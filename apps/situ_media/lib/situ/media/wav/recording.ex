@@ -26,6 +26,18 @@ defmodule Situ.Media.Wav.Recording do
   def extensions, do: [".wav"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :wav,
+        title: "WAV audio",
+        extensions: extensions(),
+        signatures: [{8, "WAVEfmt "}],
+        open: __MODULE__
+      }
+    ]
+
+  @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, reader} <- Reader.open(path),

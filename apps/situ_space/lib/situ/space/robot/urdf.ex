@@ -276,6 +276,17 @@ defmodule Situ.Space.Robot.Urdf do
   def extensions, do: [".urdf"]
 
   @impl true
+  def kinds,
+    do: [
+      %Situ.Recording.FileKind{
+        name: :urdf,
+        title: "URDF robot",
+        extensions: extensions(),
+        open: __MODULE__
+      }
+    ]
+
+  @impl true
   def open(path, _opts),
     do: with({:ok, robot} <- read(path), do: {:ok, %__MODULE__{path: path, robot: robot}})
 

@@ -5,7 +5,8 @@ defmodule Situ.Bridge.Ros.Bag.Index do
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
-  # connections: number => %{topic, type, md5, definition}; positions: number => [{time, chunk position, offset}]
+  # connections: number => %{topic, type, md5, definition, header}
+  # positions: number => [{time, chunk position, offset}]
   defstruct connections: %{}, positions: %{}, damage: [], indexed?: true
 
   @magic "#ROSBAG V2.0\n"
@@ -130,6 +131,7 @@ defmodule Situ.Bridge.Ros.Bag.Index do
         type: header_fields["type"] || "",
         md5: header_fields["md5sum"],
         definition: header_fields["message_definition"] || "",
+        header: header_fields |> Map.drop(["type", "message_definition"]) |> Enum.sort(),
         caller: header_fields["callerid"],
         latching: header_fields["latching"] == "1"
       }

@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Ros.Bag.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
+  @behaviour Situ.Bridge.Raw.Writer
   # Writes a bag: chunks of records, each followed by its index, and the connections and chunk infos at the end. The
   # first record of the file contains the position of the connections.
   alias Situ.Bridge.Mcap.{Channel, ExtraFields}
-  alias Situ.Bridge.Native
+  alias Situ.Bridge.{Native, RawChannel}
   alias Situ.Bridge.Ros.Bag.Record
   alias Situ.Bridge.Ros.Definition
   alias Situ.Error
@@ -102,26 +103,28 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     with {:ok, writer, channel} <- ensure_channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
          {recorded, _sent} = ExtraFields.fetch_times(message),
-         {:ok, time} <- check_time(topic, recorded) do
-      record =
-        Record.encode_record(
-          :message,
-          [{"conn", <<channel.id::little-32>>}, {"time", Record.encode_time(time)}],
-          bytes
-        )
+         {:ok, time} <- check_time(topic, recorded),
+         do: append_message(writer, channel.id, time, bytes)
+  end
 
-      index =
-        Map.update(writer.index, channel.id, [{time, writer.size}], &[{time, writer.size} | &1])
+  defp append_message(writer, id, time, bytes) do
+    record =
+      Record.encode_record(
+        :message,
+        [{"conn", <<id::little-32>>}, {"time", Record.encode_time(time)}],
+        bytes
+      )
 
-      writer = %{
-        writer
-        | index: index,
-          span: extend_span(writer.span, time),
-          count: writer.count + 1
-      }
+    index = Map.update(writer.index, id, [{time, writer.size}], &[{time, writer.size} | &1])
 
-      add_pending(writer, record)
-    end
+    writer = %{
+      writer
+      | index: index,
+        span: extend_span(writer.span, time),
+        count: writer.count + 1
+    }
+
+    add_pending(writer, record)
   end
 
   defp check_time(_topic, time) when time in 0..4_294_967_295_999_999_999, do: {:ok, time}
@@ -158,30 +161,64 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
              {:ok, channel} <- Channel.new(topic, [encoding: :ros1] ++ opts, data) do
           channel = %{channel | id: map_size(channels)}
 
-          {:ok, writer} =
-            add_pending(
-              %{writer | channels: Map.put(channels, topic, channel)},
-              connection_record(channel)
-            )
-
-          {:ok, writer, channel}
+          with {:ok, writer} <- add_connection(writer, topic, channel), do: {:ok, writer, channel}
         end
     end
   end
 
-  defp connection_record(%{schema: {type, _, text}} = channel) do
-    header_fields = [
-      {"topic", channel.topic},
-      {"type", type},
-      {"md5sum", Definition.md5(channel.definition)},
-      {"message_definition", text}
-    ]
+  defp add_connection(writer, key, channel) do
+    writer = %{writer | channels: Map.put(writer.channels, key, channel)}
+    add_pending(writer, connection_record(channel))
+  end
 
+  defp connection_record(%{schema: {type, _, text}} = channel) do
     Record.encode_record(
       :connection,
       [{"conn", <<channel.id::little-32>>}, {"topic", channel.topic}],
-      Record.encode_fields(header_fields)
+      Record.encode_fields(
+        [{"topic", channel.topic}, {"type", type}] ++
+          connection_fields(channel) ++ [{"message_definition", text}]
+      )
     )
+  end
+
+  defp connection_fields(%Channel{definition: definition}),
+    do: [{"md5sum", Definition.md5(definition)}]
+
+  defp connection_fields(%RawChannel{metadata: metadata, schema: {type, _, text}}) do
+    fields = List.keydelete(metadata, "topic", 0)
+
+    if List.keymember?(fields, "md5sum", 0),
+      do: fields,
+      else: [{"md5sum", definition_md5(type, text)} | fields]
+  end
+
+  # "*" stands for any definition.
+  defp definition_md5(type, text) do
+    case Definition.parse(type, text, :ros1) do
+      {:ok, definition} -> Definition.md5(definition)
+      {:error, _why} -> "*"
+    end
+  end
+
+  @impl true
+  def refuse_channel(%RawChannel{encoding: "ros1", schema: {_, "ros1msg", _}}), do: nil
+
+  def refuse_channel(%RawChannel{encoding: encoding}),
+    do: "a bag of ROS 1 holds messages of ROS 1, and these are encoded as #{inspect(encoding)}"
+
+  @impl true
+  def add_channel(writer, %RawChannel{} = channel) do
+    id = map_size(writer.channels)
+
+    with {:ok, writer} <- add_connection(writer, {:raw, id}, %{channel | id: id}),
+         do: {:ok, id, writer}
+  end
+
+  @impl true
+  def write_row(writer, id, {log_time, _publish_time, _sequence, bytes}) do
+    with {:ok, time} <- check_time(writer.channels[{:raw, id}].topic, log_time),
+         do: append_message(writer, id, time, bytes)
   end
 
   defp end_chunk(%{pending: []} = writer), do: {:ok, writer}
