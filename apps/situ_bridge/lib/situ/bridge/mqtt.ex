@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mqtt do
   @moduledoc """
-  Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
+  Connects streams with MQTT 5 and 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
   streams on topics.
 
       Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
@@ -8,50 +8,84 @@ defmodule Situ.Bridge.Mqtt do
       raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
 
   Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
-  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
-  messages of all matching topics arrive as one stream.
+  messages are unchanged bytes. Their originating times are sent as the user property `situ-originating-time`, and
+  messages of other programs get the time of arrival. Filters may contain `+` and `#`, and the messages of all matching
+  topics arrive as one stream; `envelope: true` adds the topic and the properties (`Situ.Bridge.Mqtt.Message`).
 
-  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
-  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
-  messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
-  increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
-  ends.
+  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s:
+
+  - With `qos: 2`, each message is transferred exactly once, over any number of connections, as long as both the process
+    and the broker's session live. If the broker loses its session, or a subscriber's program is killed, messages in
+    flight arrive again rather than getting lost. If a publisher's program is killed, its unacknowledged messages are
+    lost.
+  - With `qos: 1` (the default), messages may arrive twice.
+  - With `qos: 0`, messages sent without a connection are lost and counted.
+
+  With `qos: 1` or `2`, a publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream
+  wait. Messages that cannot be read, or whose times do not increase (because they were delivered again), are dropped
+  and counted (`Situ.Pipeline.info/1`). A subscription never ends. A subscription with `session:` gets the messages that
+  it missed, also after a restart of the program.
+
+  The client speaks MQTT 5 and falls back to 3.1.1 if the broker refuses it. Then there are no properties, and the
+  options that are marked with MQTT 5 have no effect.
 
   Use TLS on networks that you do not control: `tls: true`, or `tls: [authorities: "ca.pem"]` if the broker's
   certificate is signed by a private authority. If the certificate is invalid, the connection is refused, the error is
   logged, and the client tries again.
   """
 
-  alias Situ.Bridge.Mqtt.{Sink, Subscription}
+  alias Situ.Bridge.Mqtt.{ClientOptions, Sink, Subscription}
   alias Situ.Bridge.Net
 
   @options [
-    port: [
-      type: {:optional, {:integer, 1, 65_535}},
-      default: nil,
-      doc: "The broker's port; by default 1883, or 8883 with TLS."
-    ],
     qos: [
-      type: {:in, [0, 1]},
+      type: {:in, [0, 1, 2]},
       default: 1,
       doc:
-        "1: messages are acknowledged, and sent again if the acknowledgement is lost; 0: no acknowledgement."
+        "2: each message arrives exactly once, also over reconnects; 1: messages are acknowledged, and sent again " <>
+          "if the acknowledgement is lost; 0: no acknowledgement."
     ],
     session: [
       type: {:optional, :string},
       default: nil,
       doc:
-        "A session name; with `qos: 1`, the broker keeps messages that the subscriber misses while disconnected."
+        "A session name; with `qos: 1` or `2`, the broker keeps messages that the subscriber misses while disconnected."
     ],
-    username: [type: {:optional, :string}, default: nil, doc: "The user name for the login."],
-    password: [
-      type: {:optional, {:or, [:string, {:fun, 0}]}},
+    share: [
+      type: {:optional, :string},
       default: nil,
+      doc: "A group name; the broker gives each message to one of the group's subscribers."
+    ],
+    envelope: [
+      type: :boolean,
+      default: false,
+      doc: "Values are `Situ.Bridge.Mqtt.Message`, with topic and properties."
+    ],
+    no_local: [
+      type: :boolean,
+      default: false,
+      doc: "The subscriber does not get messages of its own connection (MQTT 5)."
+    ],
+    retain_as_published: [
+      type: :boolean,
+      default: false,
+      doc: "Messages keep their publisher's `retain` flag (MQTT 5)."
+    ],
+    retain_handling: [
+      type: {:in, [0, 1, 2]},
+      default: 0,
       doc:
-        "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
+        "0: the broker sends the retained messages; 1: only if the session does not have the subscription yet; " <>
+          "2: never (MQTT 5)."
+    ],
+    receive_maximum: [
+      type: {:integer, 1, 65_535},
+      default: 1_000,
+      doc:
+        "The maximum number of messages that the broker sends before they are acknowledged (MQTT 5)."
     ]
   ]
-  @schema @options ++ Net.ClientSocket.tls_options()
+  @schema @options ++ ClientOptions.schema() ++ Net.ClientSocket.tls_options()
 
   @doc """
   Publishes a stream on a topic; returns the stream.
@@ -60,7 +94,8 @@ defmodule Situ.Bridge.Mqtt do
   """
   @spec publish(Situ.Stream.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def publish(stream, host, topic, opts \\ []) do
-    Situ.via(stream, Sink, [host: host, topic: topic] ++ hide_password(opts))
+    opts = ClientOptions.prepare(opts)
+    Situ.via(stream, Sink, [host: host, topic: ClientOptions.check_topic!(topic)] ++ opts)
     stream
   end
 
@@ -74,22 +109,12 @@ defmodule Situ.Bridge.Mqtt do
   @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, host, topic, opts \\ []) do
     {mqtt_opts, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    mqtt_opts = mqtt_opts |> hide_password() |> Situ.Options.validate!(@schema)
-
-    id =
-      mqtt_opts[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
-
-    arg = [id: id, topic: topic] ++ Keyword.drop(mqtt_opts, [:port, :tls])
-    port = mqtt_opts[:port] || if(mqtt_opts[:tls] in [nil, false], do: 1_883, else: 8_883)
-    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: mqtt_opts[:tls]] ++ opts)
-  end
-
-  # Options are part of the graph and of process states, which logs and observers show.
-  defp hide_password(opts) do
-    case opts[:password] do
-      password when is_binary(password) -> Keyword.put(opts, :password, fn -> password end)
-      _function_or_none -> opts
-    end
+    mqtt_opts = mqtt_opts |> ClientOptions.prepare() |> Situ.Options.validate!(@schema)
+    id = mqtt_opts[:session] || ClientOptions.random_id()
+    most = opts[:most] || Net.Source.schema()[:most][:default]
+    arg = [id: id, topic: topic, most: most] ++ Keyword.drop(mqtt_opts, [:port, :tls])
+    source_opts = [tls: mqtt_opts[:tls]] ++ opts
+    Net.Source.connect(p, {Subscription, arg}, host, ClientOptions.port(mqtt_opts), source_opts)
   end
 
   @doc "Same as `publish/4`: all bridges have a function `sink` that sends a stream."

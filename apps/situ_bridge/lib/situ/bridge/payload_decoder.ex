@@ -26,6 +26,10 @@ defmodule Situ.Bridge.PayloadDecoder do
 
   defstruct [:format, :times, :opts, :last, emitted: 0, unreadable: 0, late: 0]
   @type t :: %__MODULE__{}
+  @typedoc """
+  Bytes, or bytes with the sender's time outside of them (if any) and a function that completes the decoded value.
+  """
+  @type payload :: binary() | {binary(), Situ.Time.t() | nil, (term() -> term())}
 
   @doc "Returns the options that all network sources have."
   def options, do: @options
@@ -35,7 +39,7 @@ defmodule Situ.Bridge.PayloadDecoder do
     do: %__MODULE__{format: opts[:format], times: opts[:times], opts: [objects: opts[:objects]]}
 
   @doc "Decodes payloads into messages `{:out, time, value}`. The decoder counts the payloads that it drops."
-  @spec take_payloads(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
+  @spec take_payloads(t(), [payload()], now :: Situ.Time.t()) :: {[tuple()], t()}
   def take_payloads(decoder, payloads, now),
     do: take_decoded(decoder, Enum.map(payloads, &decode_payload(decoder, &1, now)))
 
@@ -52,6 +56,14 @@ defmodule Situ.Bridge.PayloadDecoder do
 
   defp take_message({:error, _error}, {actions, decoder}),
     do: {actions, %{decoder | unreadable: decoder.unreadable + 1}}
+
+  defp decode_payload(decoder, {bytes, time, complete}, now) do
+    with {:ok, {own_time, own?, value}} <- decode_payload(decoder, bytes, now) do
+      if time != nil and decoder.times == :sender and not own?,
+        do: {:ok, {time, true, complete.(value)}},
+        else: {:ok, {own_time, own?, complete.(value)}}
+    end
+  end
 
   defp decode_payload(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
 

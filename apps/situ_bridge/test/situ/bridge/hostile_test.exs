@@ -188,15 +188,19 @@ defmodule Situ.Bridge.HostileTest do
     mqtt =
       IO.iodata_to_binary([
         <<0x20, 2, 0, 0>>,
-        for(i <- 1..5, do: Mqtt.Wire.encode_publish("a/b", "payload", qos: rem(i, 2), id: i))
+        for(i <- 1..5, do: Mqtt.Wire.encode_publish("a/b", "payload", qos: rem(i, 3), id: i))
       ])
+
+    {_hello, subscription} =
+      Mqtt.Subscription.hello("h", 1, id: "a", topic: "a/b", qos: 2, version: 4)
 
     frames =
       IO.iodata_to_binary(for i <- 1..5, do: WebSocket.Frames.encode_frame(:text, "message #{i}"))
 
     bounded(Budget.mutation_count(2_000), fn n ->
-      case Mqtt.Subscription.read(mutate(mqtt, n), "", 100_000) do
-        {:ok, payloads, _answer, _rest} when is_list(payloads) -> :ok
+      case Mqtt.Subscription.read(mutate(mqtt, n), subscription, 100_000) do
+        {:ok, payloads, _answer, _state} when is_list(payloads) -> :ok
+        {:reconnect, _why, _state} -> :ok
         {:error, why} when is_binary(why) -> :ok
       end
 

@@ -1,139 +1,238 @@
 defmodule Situ.Bridge.Mqtt.Wire do
   @moduledoc false
-  # The MQTT 3.1.1 packets that a client needs. Pure.
-  #
-  # A client needs only ten kinds of packets, so it is written here. The MQTT gateway of NATS
-  # would force users who already have a broker to bridge it to NATS. There is no QoS 2: with QoS
-  # 1 a message may arrive twice, and the second one is dropped because its time does not
-  # increase.
+  # The packets of MQTT 5 and 3.1.1 that a client needs. `version` is the protocol level: 5, or 4 for MQTT 3.1.1. Why it
+  # is our own: ADR 0210. Pure.
   import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
+  alias Situ.Bridge.Mqtt.Properties
 
+  @type version :: 4 | 5
+  @type publication :: %{
+          topic: String.t(),
+          payload: binary(),
+          qos: 0..2,
+          id: 0..65_535,
+          retain?: boolean(),
+          properties: Properties.t()
+        }
+  @type acknowledgement :: :puback | :pubrec | :pubrel | :pubcomp
   @type packet ::
-          {:connack, code :: byte()}
-          | {:publish, topic :: String.t(), payload :: binary(), qos :: 0..3, id :: 0..65_535}
-          | {:puback, id :: 0..65_535}
-          | {:suback, codes :: binary()}
+          {:connack, session_present? :: boolean(), code :: byte(), Properties.t()}
+          | {:publish, publication()}
+          | {acknowledgement(), id :: 0..65_535, code :: byte(), Properties.t()}
+          | {:suback, codes :: binary(), Properties.t()}
+          | {:disconnect, code :: byte(), Properties.t()}
           | :pong
           | {:other, 0..15}
 
-  @doc "Encodes a client's first packet. With `session:`, the broker keeps messages while the client is offline."
+  @acknowledgements %{puback: {4, 0}, pubrec: {5, 0}, pubrel: {6, 2}, pubcomp: {7, 0}}
+  @acknowledgement_kinds Map.new(@acknowledgements, fn {name, {kind, _}} -> {kind, name} end)
+
+  @doc """
+  Encodes a client's first packet. `opts` are `id`, `version`, `clean` (the broker forgets an earlier session),
+  `username`, `password`, `will` (see `Situ.Bridge.Mqtt`) and `properties`.
+  """
   @spec encode_connect(keyword()) :: iodata()
   def encode_connect(opts) do
-    clean = if opts[:session], do: 0, else: 2
+    version = opts[:version] || 4
+    clean = if Keyword.get(opts, :clean, true), do: 2, else: 0
     user = if opts[:username], do: 0x80, else: 0
     password = read_password(opts[:password])
     password_flag = if password, do: 0x40, else: 0
-    texts = for text <- [opts[:username], password], text, do: encode_string(text)
+    {will_flags, will} = encode_will(opts[:will], version)
+    texts = for text <- [opts[:username], password], text, do: encode_text(text)
     # Keep-alive is off, so no packets are sent merely to keep the connection open.
     encode_packet(1, 0, [
-      encode_string("MQTT"),
-      4,
-      clean ||| user ||| password_flag,
+      encode_text("MQTT"),
+      version,
+      clean ||| user ||| password_flag ||| will_flags,
       <<0::16>>,
-      encode_string(opts[:id]) | texts
+      encode_properties(opts[:properties] || [], version),
+      encode_text(opts[:id]),
+      will | texts
     ])
   end
 
   defp read_password(password) when is_function(password, 0), do: password.()
   defp read_password(password), do: password
 
-  @spec encode_subscribe(1..65_535, String.t(), 0..1) :: iodata()
-  def encode_subscribe(id, filter, qos),
-    do: encode_packet(8, 2, [<<id::16>>, encode_string(filter), qos])
+  defp encode_will(nil, _version), do: {0, ""}
 
-  @spec encode_publish(String.t(), iodata(), keyword()) :: iodata()
-  def encode_publish(topic, payload, opts) do
-    flags = (opts[:qos] || 0) <<< 1 ||| if(opts[:retain], do: 1, else: 0)
-    flags = if opts[:duplicate], do: flags ||| 8, else: flags
-    id = if opts[:qos] == 1, do: <<opts[:id]::16>>, else: ""
-    encode_packet(3, flags, [encode_string(topic), id, payload])
+  defp encode_will(will, version) do
+    retain = if will[:retain], do: 0x20, else: 0
+    properties = [will_delay: will[:delay], content_type: will[:content_type]]
+
+    {4 ||| (will[:qos] || 0) <<< 3 ||| retain,
+     [
+       encode_properties(properties, version),
+       encode_text(will[:topic]),
+       encode_text(will[:payload] || "")
+     ]}
   end
 
-  @spec encode_puback(0..65_535) :: iodata()
-  def encode_puback(id), do: encode_packet(4, 0, <<id::16>>)
+  @doc """
+  Encodes a subscription. `opts` are `version`, `qos`, and with MQTT 5 `no_local`, `retain_as_published` and
+  `retain_handling` (0: retained messages are sent, 1: only for a new subscription, 2: never).
+  """
+  @spec encode_subscribe(1..65_535, String.t(), keyword()) :: iodata()
+  def encode_subscribe(id, filter, opts) do
+    version = opts[:version] || 4
 
-  @spec encode_disconnect() :: iodata()
-  def encode_disconnect, do: encode_packet(14, 0, "")
+    flags =
+      if version == 5 do
+        no_local = if opts[:no_local], do: 4, else: 0
+        as_published = if opts[:retain_as_published], do: 8, else: 0
+        no_local ||| as_published ||| (opts[:retain_handling] || 0) <<< 4
+      else
+        0
+      end
 
-  defp encode_string(text), do: [<<byte_size(text)::16>>, text]
+    options = flags ||| (opts[:qos] || 0)
+
+    encode_packet(8, 2, [<<id::16>>, encode_properties([], version), encode_text(filter), options])
+  end
+
+  @doc "Encodes a message. `opts` are `version`, `qos`, `id`, `retain`, `duplicate` and `properties`."
+  @spec encode_publish(String.t(), iodata(), keyword()) :: iodata()
+  def encode_publish(topic, payload, opts) do
+    qos = opts[:qos] || 0
+    flags = qos <<< 1 ||| if(opts[:retain], do: 1, else: 0)
+    flags = if opts[:duplicate], do: flags ||| 8, else: flags
+    id = if qos > 0, do: <<opts[:id]::16>>, else: ""
+    properties = encode_properties(opts[:properties] || [], opts[:version] || 4)
+    encode_packet(3, flags, [encode_text(topic), id, properties, payload])
+  end
+
+  @doc "Encodes a successful acknowledgement, which is the same in both versions."
+  @spec encode_acknowledgement(acknowledgement(), 0..65_535) :: iodata()
+  def encode_acknowledgement(name, id) do
+    {kind, flags} = Map.fetch!(@acknowledgements, name)
+    encode_packet(kind, flags, <<id::16>>)
+  end
+
+  @doc "Encodes the last packet. With MQTT 5, `properties` can end the session (`session_expiry: 0`)."
+  @spec encode_disconnect(version(), keyword()) :: iodata()
+  def encode_disconnect(version \\ 4, properties \\ [])
+
+  def encode_disconnect(5, [_ | _] = properties),
+    do: encode_packet(14, 0, [0, Properties.encode(properties)])
+
+  def encode_disconnect(_version, _properties), do: encode_packet(14, 0, "")
+
+  defdelegate encode_text(text), to: Properties
+
+  defp encode_properties(properties, 5), do: Properties.encode(properties)
+  defp encode_properties(_properties, 4), do: ""
 
   defp encode_packet(kind, flags, body),
-    do: [<<kind::4, flags::4>>, encode_length(IO.iodata_length(body)), body]
-
-  defp encode_length(n) when n < 128, do: <<n>>
-  defp encode_length(n), do: [<<1::1, n::7>>, encode_length(n >>> 7)]
+    do: [<<kind::4, flags::4>>, Properties.encode_variable(IO.iodata_length(body)), body]
 
   @doc "Parses the first packet in `bytes`; a packet longer than `max` is an error."
-  @spec parse_packet(binary(), pos_integer()) ::
+  @spec parse_packet(binary(), pos_integer(), version()) ::
           {:ok, packet(), rest :: binary()} | :more | {:error, String.t()}
-  def parse_packet(<<kind::4, flags::4, rest::binary>>, max) do
-    case parse_length(rest, 0, 0) do
-      {n, _} when n > max -> {:error, "a packet of #{n} bytes exceeds the limit"}
-      {n, rest} when byte_size(rest) < n -> :more
-      {n, rest} -> split_packet(kind, flags, n, rest)
-      other -> other
+  def parse_packet("", _max, _version), do: :more
+
+  def parse_packet(<<kind::4, flags::4, rest::binary>>, max, version) do
+    case Properties.parse_variable(rest) do
+      {:ok, n, _} when n > max -> {:error, "a packet of #{n} bytes exceeds the limit"}
+      {:ok, n, rest} when byte_size(rest) < n -> :more
+      {:ok, n, rest} -> split_packet({kind, flags}, n, rest, version)
+      :more -> :more
+      :error -> {:error, "a packet with an invalid length"}
     end
   end
 
-  def parse_packet("", _max), do: :more
-
   @doc "Returns the minimum number of bytes that an incomplete packet lacks."
   @spec missing_bytes(binary()) :: pos_integer()
+  def missing_bytes(""), do: 1
+
   def missing_bytes(<<_, rest::binary>>) do
-    case parse_length(rest, 0, 0) do
-      {n, rest} when is_integer(n) and n > byte_size(rest) -> n - byte_size(rest)
+    case Properties.parse_variable(rest) do
+      {:ok, n, rest} when n > byte_size(rest) -> n - byte_size(rest)
       _ -> 1
     end
   end
 
-  def missing_bytes(""), do: 1
-
-  defp parse_length(_bytes, 28, _sum), do: {:error, "a packet with an invalid length"}
-
-  defp parse_length(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum ||| n <<< shift, rest}
-
-  defp parse_length(<<1::1, n::7, rest::binary>>, shift, sum),
-    do: parse_length(rest, shift + 7, sum ||| n <<< shift)
-
-  defp parse_length("", _shift, _sum), do: :more
-
-  defp split_packet(kind, flags, n, bytes) do
+  defp split_packet({kind, flags}, n, bytes, version) do
     <<body::binary-pinned_size(n), rest::binary>> = bytes
 
-    case parse_body(kind, flags, body) do
+    case parse_body(kind, flags, body, version) do
       :error -> {:error, "an invalid packet of type #{kind}"}
       packet -> {:ok, packet, rest}
     end
   end
 
-  defp parse_body(2, _flags, <<_, code>>), do: {:connack, code}
-  defp parse_body(4, _flags, <<id::16>>), do: {:puback, id}
-  defp parse_body(9, _flags, <<_id::16, codes::binary>>), do: {:suback, codes}
-  defp parse_body(13, _flags, ""), do: :pong
+  # A broker without MQTT 5 refuses it with the CONNACK of MQTT 3.1.1.
+  defp parse_body(2, _flags, <<_::7, present::1, code>>, _version),
+    do: {:connack, present == 1, code, %{}}
 
-  defp parse_body(3, flags, <<n::16, topic::binary-size(n), rest::binary>>) do
-    case {flags >>> 1 &&& 3, rest} do
-      {0, payload} -> {:publish, topic, :binary.copy(payload), 0, 0}
-      {3, _} -> :error
-      {qos, <<id::16, payload::binary>>} -> {:publish, topic, :binary.copy(payload), qos, id}
+  defp parse_body(2, _flags, <<_::7, present::1, code, rest::binary>>, 5) do
+    case Properties.parse(rest) do
+      {:ok, properties, ""} -> {:connack, present == 1, code, properties}
       _ -> :error
     end
   end
 
-  defp parse_body(kind, _flags, _body) when kind in [2, 3, 4, 9, 13], do: :error
-  defp parse_body(kind, _flags, _body), do: {:other, kind}
+  defp parse_body(3, flags, <<n::16, topic::binary-size(n), rest::binary>>, version) do
+    with true <- String.valid?(topic),
+         qos when qos < 3 <- flags >>> 1 &&& 3,
+         {id, rest} <- parse_id(qos, rest),
+         {:ok, properties, payload} <- parse_properties(rest, version) do
+      {:publish,
+       %{
+         topic: :binary.copy(topic),
+         payload: :binary.copy(payload),
+         qos: qos,
+         id: id,
+         retain?: (flags &&& 1) == 1,
+         properties: properties
+       }}
+    else
+      _ -> :error
+    end
+  end
 
-  @refusals %{
-    1 => "it does not support MQTT 3.1.1",
-    2 => "it rejects the client identifier",
-    3 => "it is not available",
-    4 => "the user name or the password is wrong",
-    5 => "this user is not authorized"
-  }
+  defp parse_body(kind, _flags, <<id::16, rest::binary>>, version)
+       when is_map_key(@acknowledgement_kinds, kind) do
+    with {:ok, code, properties} <- parse_reason(rest, version),
+         do: {@acknowledgement_kinds[kind], id, code, properties}
+  end
 
-  @doc "Describes why a broker refused a connection."
-  @spec describe_refusal(byte()) :: String.t()
-  def describe_refusal(code),
-    do: Map.get(@refusals, code, "it refuses the connection with code #{code}")
+  defp parse_body(9, _flags, <<_id::16, rest::binary>>, version) do
+    case parse_properties(rest, version) do
+      {:ok, properties, <<_, _::binary>> = codes} -> {:suback, codes, properties}
+      _ -> :error
+    end
+  end
+
+  defp parse_body(13, _flags, "", _version), do: :pong
+
+  defp parse_body(14, _flags, body, 5) do
+    with {:ok, code, properties} <- parse_reason(body, 5), do: {:disconnect, code, properties}
+  end
+
+  defp parse_body(kind, _flags, _body, _version)
+       when kind in [2, 3, 4, 5, 6, 7, 9, 13],
+       do: :error
+
+  defp parse_body(kind, _flags, _body, _version), do: {:other, kind}
+
+  defp parse_id(0, rest), do: {0, rest}
+  defp parse_id(_qos, <<id::16, rest::binary>>) when id > 0, do: {id, rest}
+  defp parse_id(_qos, _rest), do: :error
+
+  defp parse_properties(<<>>, 5), do: :error
+  defp parse_properties(bytes, 5), do: Properties.parse(bytes)
+  defp parse_properties(bytes, 4), do: {:ok, %{}, bytes}
+
+  defp parse_reason("", _version), do: {:ok, 0, %{}}
+
+  defp parse_reason(<<code, rest::binary>>, 5) do
+    case Properties.parse(rest) do
+      {:ok, properties, ""} -> {:ok, code, properties}
+      _ -> :error
+    end
+  end
+
+  defp parse_reason(_bytes, 4), do: :error
 end

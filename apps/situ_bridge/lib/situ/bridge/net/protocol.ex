@@ -21,13 +21,31 @@ defmodule Situ.Bridge.Net.Protocol do
   @doc "Returns a client's first bytes and its state."
   @callback hello(host :: String.t(), port :: :inet.port_number(), arg :: term()) ::
               {iodata(), state()}
-  @doc "Parses bytes of a server; returns the complete payloads (each at most `max` bytes), a reply, and the state."
+  @doc "Same as `hello/3` for a later connection, with the state of the previous one. Default: `hello/3`."
+  @callback resume(host :: String.t(), port :: :inet.port_number(), state()) ::
+              {iodata(), state()}
+  @doc "Returns whether the server has worked on this connection, even without payloads. Default: false."
+  @callback progress?(state()) :: boolean()
+  @doc "Returns the last bytes before the client closes the connection."
+  @callback goodbye(state()) :: iodata()
+  @doc """
+  Parses bytes of a server; returns the complete payloads (each at most `max` bytes), a reply, and the state.
+  `:reconnect` closes the connection and keeps the state for the next one.
+  """
   @callback read(bytes :: binary(), state(), max :: pos_integer()) ::
-              {:ok, [binary()], reply :: iodata(), state()} | {:error, String.t()}
+              {:ok, [Situ.Bridge.PayloadDecoder.payload()], reply :: iodata(), state()}
+              | {:error, String.t()}
+              | {:reconnect, why :: term(), state()}
 
   @doc "Returns the minimum number of bytes that `read/3` needs to return a payload, or 1 if that is unknown."
   @callback missing_bytes(state()) :: pos_integer()
 
   # A protocol that is only used by clients lacks the server's callbacks.
-  @optional_callbacks admit: 2, frame: 2, handle_bytes: 2, missing_bytes: 1
+  @optional_callbacks admit: 2,
+                      frame: 2,
+                      handle_bytes: 2,
+                      missing_bytes: 1,
+                      resume: 3,
+                      goodbye: 1,
+                      progress?: 1
 end

@@ -58,8 +58,7 @@ defmodule Situ.Bridge.Net.Source do
 
   @impl true
   def handle_info(:connect, _context, %{open?: true, tcp: nil, opts: opts} = state) do
-    {module, arg} = opts[:protocol]
-    {hello, protocol_state} = module.hello(opts[:host], opts[:port], arg)
+    {hello, protocol_state} = greet_server(opts, state.protocol_state)
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
@@ -75,6 +74,15 @@ defmodule Situ.Bridge.Net.Source do
       {:disconnected, reason} -> {[], schedule_reconnect(state, reason)}
       :other -> {[], state}
     end
+  end
+
+  # Only a protocol with sessions uses the state of the previous connection.
+  defp greet_server(opts, previous) do
+    {module, arg} = opts[:protocol]
+
+    if previous != nil and function_exported?(module, :resume, 3),
+      do: module.resume(opts[:host], opts[:port], previous),
+      else: module.hello(opts[:host], opts[:port], arg)
   end
 
   defp handle_bytes(bytes, context, %{opts: opts} = state) do
@@ -112,6 +120,10 @@ defmodule Situ.Bridge.Net.Source do
       {:error, why} ->
         ClientSocket.close(tcp)
         {[], schedule_reconnect(state, why)}
+
+      {:reconnect, why, protocol_state} ->
+        ClientSocket.close(tcp)
+        {[], schedule_reconnect(%{state | protocol_state: protocol_state}, why)}
     end
   end
 
@@ -130,8 +142,14 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   # After a readable message the server is known to work, so the next reconnect starts with the shortest wait.
-  defp reset_backoff(state, []), do: state
-  defp reset_backoff(state, _payloads), do: %{state | wait_ms: @min_wait_ms, logged_error: nil}
+  defp reset_backoff(state, payloads) do
+    if payloads != [] or progress?(elem(state.opts[:protocol], 0), state.protocol_state),
+      do: %{state | wait_ms: @min_wait_ms, logged_error: nil},
+      else: state
+  end
+
+  defp progress?(module, protocol_state),
+    do: function_exported?(module, :progress?, 1) and module.progress?(protocol_state)
 
   # A repeated error is logged once, not at every attempt. A partially received message is lost.
   defp schedule_reconnect(state, reason) do
@@ -149,8 +167,17 @@ defmodule Situ.Bridge.Net.Source do
   def terminate(_reason, state), do: close_connection(state)
 
   defp close_connection(state) do
-    if state.tcp, do: ClientSocket.close(state.tcp)
+    if state.tcp, do: say_goodbye(state)
     %{state | tcp: nil, open?: false}
+  end
+
+  defp say_goodbye(%{tcp: tcp, opts: opts} = state) do
+    {module, _arg} = opts[:protocol]
+
+    if function_exported?(module, :goodbye, 1),
+      do: ClientSocket.send_bytes(tcp, module.goodbye(state.protocol_state))
+
+    ClientSocket.close(tcp)
   end
 
   @impl true

@@ -22,7 +22,8 @@ defmodule Situ.Bridge.Net.ReceiveBufferTest do
     assert reads == 2
 
     published = IO.iodata_to_binary(Situ.Bridge.Mqtt.Wire.encode_publish("t", payload, qos: 0))
-    {got, reads} = through(Subscription, cut(published, [1_460]), "")
+    {_hello, state} = Subscription.hello("h", 1, id: "a", topic: "t", qos: 0, version: 4)
+    {got, reads} = through(Subscription, cut(published, [1_460]), state)
     assert got == [payload]
     assert reads == 2
   end
