@@ -69,11 +69,12 @@ defmodule Situ.Cluster do
 
   ## Limits
 
-  When a node is lost, messages in flight on a direct stream are lost. A recording cannot be carried over: a part that
-  records is restarted from the first message of the log, writes a new version, and fails if `retain:` has deleted
-  that message. `Situ.Pipeline.on/4` handlers run with the part `"rest"` and with parts that record; the handlers of
-  a resource (a recording, a link) run with the parts that use it. The log of a finished deployment remains until
-  `prune/2` deletes it. An upgrade cannot change the graph.
+  When a node is lost, messages in flight on a direct stream are lost. A recording that is taken over continues in a
+  copy if the new node can read the previous one, and otherwise at the checkpoint, with a warning. A recording in
+  segments cannot be carried over: its part is restarted from the first message of the log, writes a new version,
+  and fails if `retain:` has deleted that message. `Situ.Pipeline.on/4` handlers run with the part `"rest"` and with
+  parts that record; the handlers of a resource (a recording, a link) run with the parts that use it. The log of a
+  finished deployment remains until `prune/2` deletes it. An upgrade cannot change the graph.
 
   The log also contains the deployments. If all nodes were lost, they run the deployments again when they are back,
   except deployments that ended or were forgotten. The log's entries are sealed with the cluster's cookie. An entry

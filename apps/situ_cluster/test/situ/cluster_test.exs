@@ -4,7 +4,7 @@ defmodule Situ.ClusterTest do
   alias Situ.{Cluster, Pipeline}
   alias Situ.Cluster.Retention
   alias Situ.Test.{ClusterFan, ClusterSums, NatsServer}
-  import Situ.Test.LinkRecordings, only: [eventually: 1]
+  import Situ.Test.LinkRecordings, only: [eventually: 1, eventually: 2]
 
   @moduletag :tmp_dir
   @moduletag capture_log: true
@@ -349,6 +349,45 @@ defmodule Situ.ClusterTest do
     assert Situ.Store.count(placed, "numbers") == 50
     assert Situ.Store.count(unplaced, "doubles") == 50
     refute Situ.Store.live?(placed) or Situ.Store.live?(unplaced)
+  end
+
+  test "a recorder that is taken over continues with a bounded log", %{tmp_dir: dir} do
+    start_supervised!({Cluster, log: Path.join(dir, "log")})
+    root = Path.join(dir, "recordings")
+
+    {:ok, deployment} =
+      Cluster.deploy(Situ.Test.ClusterRecorded,
+        opts: [root: root, count: 4_000],
+        place: [{"Recording", deterministic: true}],
+        checkpoint: Situ.Time.ms(50),
+        lease: Situ.Time.ms(300),
+        retain: Situ.Time.ms(1_500),
+        pipeline: [replay: [interval: {0, Situ.Time.s(3_600)}, speed: 1.0]]
+      )
+
+    runner = Cluster.Agent.list_runners(deployment.name)["Recording"]
+    eventually(fn -> recorded_count(root) > 2_500 end, 30_000)
+    assert %{checkpoints: %{refused: nil, taken: taken}} = Cluster.Runner.part_info(runner)
+    assert taken > 0
+    Process.exit(runner, :kill)
+    assert :ok = Cluster.await(deployment, 60_000)
+
+    {:ok, store} = Situ.Store.open(Situ.Store.newest("placed", root))
+
+    assert store |> Situ.Store.messages("numbers") |> Enum.map(& &1.data) ==
+             Enum.to_list(1..4_000)
+
+    assert length(Enum.filter(Situ.Store.list(root), &(Path.basename(&1) =~ ~r/^placed/))) == 2
+  end
+
+  defp recorded_count(root) do
+    with path when path != nil <- Situ.Store.newest("placed", root),
+         {:ok, store} <- Situ.Store.open(path),
+         true <- Situ.Store.has_stream?(store, "numbers") do
+      Situ.Store.count(store, "numbers")
+    else
+      _ -> 0
+    end
   end
 
   if NatsServer.path() do

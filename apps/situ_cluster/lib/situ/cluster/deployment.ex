@@ -47,8 +47,8 @@ defmodule Situ.Cluster.Deployment do
       default: :all,
       doc:
         "How much of each stream the log keeps, ns of originating time. A part that resumes after a longer time" <>
-          " fails (`:log_trimmed`), because messages are missing. A part that records, or that has components which" <>
-          " cannot be carried over, restarts from the first message and therefore needs `:all`."
+          " fails (`:log_trimmed`), because messages are missing. A part that records in segments, or has" <>
+          " components which cannot be carried over, restarts from the first message and therefore needs `:all`."
     ],
     balance: [
       type: {:optional, :pos_integer},

@@ -22,8 +22,8 @@ defmodule Situ.Store.Sink do
       ]
     ]
 
-  alias Situ.{Columns, VideoPacket}
-  alias Situ.Store.{Rotation, SharedWriter, StreamDraft, Writer}
+  alias Situ.{Columns, Error, VideoPacket}
+  alias Situ.Store.{Rotation, SharedWriter, SinkSnapshot, StreamDraft, Writer}
   alias Situ.Store.Rotation.SplitPoint
 
   @flush_ms 20
@@ -43,6 +43,8 @@ defmodule Situ.Store.Sink do
     :rotation,
     :segment,
     :pass,
+    :span,
+    :closed,
     held: %{},
     pending: [],
     count: 0,
@@ -86,8 +88,11 @@ defmodule Situ.Store.Sink do
   @impl true
   def handle_columns(:in, columns, context, state) do
     case add_columns(columns, state) do
-      :refused -> handle_messages(:in, Columns.messages(columns), context, state)
-      size -> commit_large_draft(size, state)
+      :refused ->
+        handle_messages(:in, Columns.messages(columns), context, state)
+
+      size ->
+        commit_large_draft(size, %{state | span: SinkSnapshot.extend_span(state.span, columns)})
     end
   end
 
@@ -113,7 +118,8 @@ defmodule Situ.Store.Sink do
     end)
   end
 
-  defp write_messages(messages, state), do: buffer_messages(messages, state)
+  defp write_messages(messages, state),
+    do: buffer_messages(messages, %{state | span: SinkSnapshot.extend_span(state.span, messages)})
 
   # A segment of a video begins with a key frame, so the images before it stay in the segment of theirs.
   defp segment_number(%{data: %VideoPacket{position: position}}, _cut, previous)
@@ -221,7 +227,34 @@ defmodule Situ.Store.Sink do
 
     # In a segmented recording, only the last segment's stream is closed. It is nil if there were no messages.
     if state.stream, do: unwrap!(Writer.close_stream(state.stream, time))
-    {[], state}
+    {[], %{state | closed: time}}
+  end
+
+  # The open segments and their numbers are not in the snapshot.
+  @impl true
+  def snapshot(%{rotation: {_, _, name, _}}) do
+    {:error,
+     Error.new(:no_snapshot, "cannot take a snapshot of #{name}: it is recorded in segments",
+       why: "a recording in segments cannot continue on another node",
+       fix: "record it without segments, or in a part that is not placed"
+     )}
+  end
+
+  def snapshot(state) do
+    pending = state.pending |> Enum.reverse() |> Enum.concat()
+
+    with :ok <- commit_draft(state) do
+      snapshot = SinkSnapshot.new(state.shared, state.stream, state.span, pending)
+      {:ok, Map.put(snapshot, :closed, state.closed)}
+    end
+  end
+
+  @impl true
+  def restore(snapshot, state) do
+    with {:ok, stream, span} <- SinkSnapshot.restore(snapshot, state.stream) do
+      if snapshot.closed, do: unwrap!(Writer.close_stream(stream, snapshot.closed))
+      {:ok, %{state | stream: stream, span: span, closed: snapshot.closed}}
+    end
   end
 
   @impl true

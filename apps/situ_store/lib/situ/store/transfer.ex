@@ -69,6 +69,23 @@ defmodule Situ.Store.Transfer do
     end
   end
 
+  @doc "Copies a source's messages up to time `to` into a stream without messages, and returns the stream."
+  @spec continue_stream(Writer.Stream.t(), source(), Situ.Time.t()) ::
+          {:ok, Writer.Stream.t()} | {:error, Error.t()}
+  def continue_stream(stream, {_, info} = source, to) do
+    transfer = %__MODULE__{
+      stream: stream,
+      raw?: raw_copy?(source),
+      numbers: %{},
+      skip_damage: true,
+      report_progress: fn _n -> :ok end
+    }
+
+    with {:ok, transfer} <- write_catalog(transfer, [info]),
+         {:ok, transfer, _next} <- transfer_messages(transfer, source, 0, to),
+         do: {:ok, transfer.stream}
+  end
+
   defp stored_type(info, [{%{module: NativeFormat}, _} | _]), do: info.type_name
   defp stored_type(info, _), do: TypeName.format_type(info.type)
 

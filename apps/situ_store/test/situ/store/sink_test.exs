@@ -75,6 +75,71 @@ defmodule Situ.Store.SinkTest do
     assert recorded(root, "restarted", "s") == Enum.to_list(1..11)
   end
 
+  for {kind, large} <- [numbers: "", mixed: String.duplicate("x", 5_000)] do
+    test "#{kind}: a sink continues from its checkpoint in a copy of the recording", %{
+      tmp_dir: root
+    } do
+      large = unquote(large)
+      fill = fn m -> if large == "", do: m, else: %{m | data: {m.data, large}} end
+      sent = 1..60 |> messages() |> Enum.map(fill)
+      {:ok, state, _writer} = open_sink(root, "first")
+      state = deliver(state, Enum.take(sent, 40))
+      {:ok, snapshot} = Store.Sink.snapshot(state)
+
+      # The part is lost without being closed, and has written more after its checkpoint.
+      Store.Sink.terminate(:normal, deliver(state, Enum.slice(sent, 40, 10)))
+
+      {:ok, fresh, writer} = open_sink(root, "second")
+      {:ok, state} = snapshot |> transfer_term() |> Store.Sink.restore(fresh)
+      {:ok, again} = Store.Sink.snapshot(state)
+      assert again.span == {1, 40}
+      state = deliver(state, Enum.drop(sent, 40))
+      {[], _} = Store.Sink.handle_closed(:in, 61, %{}, state)
+      :ok = Store.Writer.close(writer)
+
+      stored = root |> Path.join("second") |> Store.open!() |> Store.messages("s")
+      key = &{&1.data, &1.originating_time, &1.sequence_id}
+      assert Enum.map(stored, key) == Enum.map(sent, key)
+    end
+  end
+
+  test "a sink that cannot read the previous recording says which messages are missing", %{
+    tmp_dir: root
+  } do
+    {:ok, state, writer} = open_sink(root, "lost")
+    {:ok, snapshot} = Store.Sink.snapshot(deliver(state, messages(1..5)))
+    :ok = Store.Writer.close(writer)
+    :ok = Store.delete(Path.join(root, "lost"))
+    {:ok, fresh, writer} = open_sink(root, "rest")
+
+    log =
+      ExUnit.CaptureLog.capture_log(fn ->
+        {:ok, state} = Store.Sink.restore(snapshot, fresh)
+        {[], _} = Store.Sink.handle_closed(:in, 9, %{}, deliver(state, messages(6..9)))
+      end)
+
+    :ok = Store.Writer.close(writer)
+    assert log =~ "continues without the messages from 1 to 5 ns"
+    assert log =~ Path.join(root, "lost")
+    assert recorded(root, "rest", "s") == [6, 7, 8, 9]
+  end
+
+  defp open_sink(root, name) do
+    {:ok, writer} = Store.Writer.create(name, root)
+    {:ok, stream} = Store.Writer.stream(writer, "s")
+    shared = Store.SharedWriter.new(writer)
+    Store.SharedWriter.add_user(shared)
+    {:ok, state} = Store.Sink.init(shared: shared, stream: stream, envelopes: false, eager: false)
+    {:ok, state, writer}
+  end
+
+  defp deliver(state, messages) do
+    {[], state} = Store.Sink.handle_messages(:in, messages, %{}, state)
+    state
+  end
+
+  defp transfer_term(term), do: term |> :erlang.term_to_binary() |> :erlang.binary_to_term()
+
   defp messages(numbers),
     do: for(n <- numbers, do: %Message{data: n, originating_time: n, sequence_id: n})
 
