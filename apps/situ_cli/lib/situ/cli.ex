@@ -47,7 +47,7 @@ defmodule Situ.CLI do
   @doc """
   Runs the command line `argv` and returns its exit status.
 
-      iex> ExUnit.CaptureIO.capture_io(fn -> Situ.CLI.run(["--version"]) end) =~ "situ 0."
+      iex> ExUnit.CaptureIO.capture_io(fn -> Situ.CLI.run(["--version"]) end) =~ "situ 1."
       true
   """
   @spec run([String.t()]) :: 0..255

@@ -54,7 +54,7 @@ defmodule Situ.Bridge.Mqtt do
     share: [
       type: {:optional, :string},
       default: nil,
-      doc: "A group name; the broker gives each message to one of the group's subscribers."
+      doc: "A group name; the broker sends each message to one of the group's subscribers."
     ],
     envelope: [
       type: :boolean,
@@ -64,7 +64,7 @@ defmodule Situ.Bridge.Mqtt do
     no_local: [
       type: :boolean,
       default: false,
-      doc: "The subscriber does not get messages of its own connection (MQTT 5)."
+      doc: "The subscriber does not get messages that it has published itself (MQTT 5)."
     ],
     retain_as_published: [
       type: :boolean,

@@ -90,7 +90,7 @@ defmodule Situ.Bridge.TableImport do
 
   defp stream_rows(path, format, _notice), do: Bridge.File.messages(path, format)
 
-  @doc "Returns the times and values of a table. `notice` receives sentences about what is skipped."
+  @doc "Returns the times and values of a table. `notice` receives a sentence for each part that is skipped."
   @spec read_table(Path.t(), (String.t() -> term())) :: Enumerable.t()
   def read_table(path, notice), do: stream_rows(path, detect_format(path), notice)
 

@@ -48,7 +48,7 @@ defmodule Situ.Bridge.TableRecording do
         {:error,
          Error.new(:too_large, "#{path} is too large to be opened as a recording",
            why:
-             "it has #{size} bytes, and a table of more than #{@max_bytes} is not read at once",
+             "it has #{size} bytes, and a table of more than #{@max_bytes} is not read into memory",
            fix: "import it: `situ store import '#{path}' NAME`"
          )}
 

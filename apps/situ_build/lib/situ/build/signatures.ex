@@ -160,6 +160,13 @@ defmodule Situ.Build.Signatures do
       ["A.g/0 changed or disappeared: name `A.g/0` in one entry of CHANGELOG.md under Changed or Removed"]
       iex> Situ.Build.Signatures.compare(old, [], ["`A.f/1`, `A.g/0`"], {"1.0.0", "1.1.0"}) |> hd()
       "A.f/1 is stable and disappeared: a minor version keeps it; deprecate it, and remove it in version 2.0.0"
+
+  A choice that has gained values is kept:
+
+      iex> {_, old} = Situ.Build.Signatures.parse_file("version 1.0.0\\ncommand situ save --format csv|json\\n")
+      iex> {_, new} = Situ.Build.Signatures.parse_file("version 1.1.0\\ncommand situ save --format csv|db3|json\\n")
+      iex> Situ.Build.Signatures.compare(old, new, [], {"1.0.0", "1.1.0"})
+      []
   """
   @spec compare([t()], [t()], [String.t()], {String.t(), String.t()}) :: [String.t()]
   def compare(recorded, present, entries, versions) do
@@ -167,8 +174,23 @@ defmodule Situ.Build.Signatures do
 
     for signature <- recorded,
         missing?(signature, kept[signature.text]),
+        not Enum.any?(present, &extends?(&1, signature)),
         problem = judge_missing(signature, entries, versions),
         do: problem
+  end
+
+  # The option `--format csv|json` of a command may gain values.
+  defp extends?(%{status: status, words: words} = present, %{status: status, words: words} = old) do
+    {before, old_values} = split_choice(old.text)
+    {now, values} = split_choice(present.text)
+    old_values != [] and before == now and old_values -- values == []
+  end
+
+  defp extends?(_present, _old), do: false
+
+  defp split_choice(text) do
+    {last, rest} = text |> String.split(" ") |> List.pop_at(-1)
+    if String.contains?(last, "|"), do: {rest, String.split(last, "|")}, else: {text, []}
   end
 
   # Experimental modules may become stable.

@@ -1,6 +1,6 @@
 defmodule Situ.Recording.FileKind do
   @moduledoc """
-  A kind of file that Situ reads or writes, and what it can do with it. `situ formats` lists all kinds.
+  A kind of file that Situ reads or writes, with the operations that work for it. `situ formats` lists all kinds.
 
     * `name`: an atom that options such as `--format` use.
     * `title`: for people.

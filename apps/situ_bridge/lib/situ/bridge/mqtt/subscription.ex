@@ -154,7 +154,7 @@ defmodule Situ.Bridge.Mqtt.Subscription do
 
   defp handle_packet(_other, state), do: {:ok, [], "", state}
 
-  # The broker may have the subscription although its answer was lost. Then retained messages are not wanted twice.
+  # The broker may have the subscription although its reply was lost. Then retained messages are not wanted twice.
   defp subscribe(%{arg: arg} = state, again?) do
     arg =
       if again? and arg[:retain_handling] == 0,

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Raw.Merge do
   @moduledoc false
   # Merges the raw messages of channels in order of their log times. Each channel has a head: the messages that were
-  # read and not yet taken. A set of the times of the heads tells which one is next.
+  # read and not yet taken. The smallest of the times of the heads is next.
   alias Situ.Bridge.Raw.Reader
   alias Situ.Bridge.{RawChannel, RawMessage}
   alias Situ.Error

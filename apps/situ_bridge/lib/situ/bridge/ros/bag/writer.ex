@@ -193,7 +193,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       else: [{"md5sum", definition_md5(type, text)} | fields]
   end
 
-  # "*" stands for any definition.
+  # "*" matches any definition.
   defp definition_md5(type, text) do
     case Definition.parse(type, text, :ros1) do
       {:ok, definition} -> Definition.md5(definition)
