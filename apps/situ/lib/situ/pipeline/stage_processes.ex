@@ -21,7 +21,8 @@ defmodule Situ.Pipeline.StageProcesses do
       end
 
     # Only this start uses the snapshot; a later restart begins afresh, as its `on_error` specifies.
-    entry = %{pid: pid, shared?: match?([_, _ | _], ids), memory: nil, stopped: %{}}
+    shared? = match?([_, _ | _], ids)
+    entry = %{pid: pid, shared?: shared?, left: nil, memory: nil, stopped: %{}}
 
     stages =
       Enum.reduce(ids, state.stages, fn id, all -> Map.update!(all, id, &Map.merge(&1, entry)) end)
@@ -59,7 +60,8 @@ defmodule Situ.Pipeline.StageProcesses do
 
     %{
       state
-      | stages: Map.put(state.stages, id, %{entry | pid: pid, shared?: false}),
+      | stages:
+          Map.put(state.stages, id, Map.merge(entry, %{pid: pid, shared?: false, left: shared})),
         pids: Map.put(state.pids, pid, [id])
     }
   end

@@ -76,6 +76,7 @@ defmodule Situ.Pipeline.Stages do
       pid: nil,
       group: nil,
       shared?: false,
+      left: nil,
       vertices: vertices,
       tally: ErrorCounters.new(length(vertices)),
       control: control,
@@ -236,13 +237,27 @@ defmodule Situ.Pipeline.Stages do
     for {tag, link} <- links, link.from != link.to do
       other = if link.from == id, do: link.to, else: link.from
       closing = if link.to == id, do: state.life.links.closing[tag]
-      send_request(state, other, {:peer, tag, pid, closing})
+      send_in_order(state, other, {:peer, tag, pid, closing})
       # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
-      if link.from == id and asks?, do: send_request(state, other, {:ask, tag})
+      if link.from == id and asks?, do: send_in_order(state, other, {:ask, tag})
     end
 
     state
+  end
+
+  # A stage that has left a shared process may not have received all messages of the earlier process of its neighbour:
+  # the shared process forwards them, and this request after them.
+  defp send_in_order(state, id, request) do
+    case state.stages do
+      %{^id => %{left: shared}} when is_pid(shared) ->
+        if Process.alive?(shared),
+          do: send(shared, {:situ, {:to, id, {:forward, request}}}),
+          else: send_request(state, id, request)
+
+      _ ->
+        send_request(state, id, request)
+    end
   end
 
   @doc """

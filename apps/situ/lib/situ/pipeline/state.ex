@@ -42,6 +42,7 @@ defmodule Situ.Pipeline.State do
           pid: pid() | nil,
           group: pos_integer() | nil,
           shared?: boolean(),
+          left: pid() | nil,
           vertices: [Situ.Graph.Vertex.t(), ...],
           tally: Situ.Ports.ErrorCounters.t(),
           control: :atomics.atomics_ref(),

@@ -75,6 +75,9 @@ defmodule Situ.Stage.Departure do
       :situ_turn ->
         process
 
+      {:situ, {:forward, request}} ->
+        forward_message(process, id, {:situ, request})
+
       {:situ, {:lend, tag, _output, _pid, _counters, _policy}} ->
         forward_message(put_in(process.producers[tag], id), id, message)
 

@@ -12,9 +12,9 @@ defmodule Situ.Simulation.ChangesTest do
   @schedules 15 * Budget.repeat_factor()
   @changes 7
 
-  # No two neighbours are killed: what is between them would be lost.
+  # No two neighbours are killed: messages between them would be lost.
   @killed ~w(Pass Pass Unit.Source Unit.Map Unit.Join Unit.Sink) ++
-            ~w(Open.Map Open.Join Open.Sink Single.Source Single.Map Single.Map)
+            ~w(Open.Map Open.Join Open.Sink Single.Map Single.Map)
 
   # The errors of a change that meets another one, or a component that has just been killed.
   @refusals [
