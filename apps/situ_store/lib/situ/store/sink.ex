@@ -243,10 +243,9 @@ defmodule Situ.Store.Sink do
   def snapshot(state) do
     pending = state.pending |> Enum.reverse() |> Enum.concat()
 
-    with :ok <- commit_draft(state) do
-      snapshot = SinkSnapshot.new(state.shared, state.stream, state.span, pending)
-      {:ok, Map.put(snapshot, :closed, state.closed)}
-    end
+    with :ok <- commit_draft(state),
+         do:
+           {:ok, SinkSnapshot.new(state.shared, state.stream, state.span, pending, state.closed)}
   end
 
   @impl true

@@ -9,23 +9,35 @@ defmodule Situ.Store.SinkSnapshot do
   require Logger
 
   @typedoc """
-  `span`: the first and last originating time of the stream; `pending`: the messages that are not in the recording yet.
+  `span`: the first and last originating time of the stream; `pending`: the messages that are not in the recording yet;
+  `closed`: when the stream has ended.
   """
   @type t :: %{
           node: node(),
           path: Path.t(),
           stream: String.t(),
           span: {Situ.Time.t(), Situ.Time.t()} | nil,
-          pending: [Situ.Message.t()]
+          pending: [Situ.Message.t()],
+          closed: Situ.Time.t() | nil
         }
 
   @doc "Returns the checkpoint of a stream whose messages, except `pending`, are committed."
-  @spec new(SharedWriter.t(), Writer.Stream.t(), {Situ.Time.t(), Situ.Time.t()} | nil, [
-          Situ.Message.t()
-        ]) :: t()
-  def new(shared, stream, span, pending) do
-    path = Path.expand(shared.writer.path)
-    %{node: node(), path: path, stream: stream.name, span: span, pending: pending}
+  @spec new(
+          SharedWriter.t(),
+          Writer.Stream.t(),
+          {Situ.Time.t(), Situ.Time.t()} | nil,
+          [Situ.Message.t()],
+          Situ.Time.t() | nil
+        ) :: t()
+  def new(shared, stream, span, pending, closed) do
+    %{
+      node: node(),
+      path: Path.expand(shared.writer.path),
+      stream: stream.name,
+      span: span,
+      pending: pending,
+      closed: closed
+    }
   end
 
   @doc """
@@ -50,8 +62,8 @@ defmodule Situ.Store.SinkSnapshot do
     {if(span, do: elem(span, 0), else: first), last}
   end
 
-  def extend_span(nil, [first | _] = messages),
-    do: extend_span({first.originating_time, nil}, messages)
+  def extend_span(nil, [%{originating_time: first} | _] = messages),
+    do: extend_span({first, first}, messages)
 
   def extend_span({first, _}, messages), do: {first, List.last(messages).originating_time}
 
