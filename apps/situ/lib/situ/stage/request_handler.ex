@@ -199,12 +199,12 @@ defmodule Situ.Stage.RequestHandler do
   def handle_request(:clock, state), do: state |> Loop.run_slice() |> stop_if_over()
 
   # A neighbour was restarted, but the connection has ended here: a consumer needs only the closing mark, and a producer
-  # must not wait for demand.
-  def handle_request({:peer, tag, pid, closing}, state) do
+  # must not wait for demand. Before its start, a stage knows no connections.
+  def handle_request({:peer, tag, pid, closing}, %{host: %{clock: clock}} = state) do
     known? = State.find_input(state, tag) || State.find_subscriber(state, tag)
 
     cond do
-      known? || elem(state.steps, 0).phase == :starting -> :ok
+      known? || clock == nil -> :ok
       closing -> Subscriber.send_close(Subscriber.new(tag, pid, nil), closing)
       true -> Address.acknowledge_end(pid, tag)
     end

@@ -74,6 +74,21 @@ defmodule Situ.Simulation.RestartsTest do
     )
   end
 
+  # If the consumer died after the closing mark of its source, the source's new process did not know that it needed the
+  # mark again, and the pipeline did not end.
+  test "of a source and its consumer" do
+    build = fn p ->
+      p |> numbers(@killed) |> Situ.via(Pass, name: "Next", on_error: :restart)
+    end
+
+    # This schedule is one of about 10,000 in which it happened.
+    Simulation.check(fn -> Simulated.check_order(build, 1..20) end,
+      seed: 5707,
+      schedules: @schedules,
+      kill: ["Killed", "Next", "Next"]
+    )
+  end
+
   test "of a chain of operators and the component after it" do
     build = fn p ->
       p
