@@ -377,7 +377,9 @@ defmodule Situ.ClusterTest do
     assert store |> Situ.Store.messages("numbers") |> Enum.map(& &1.data) ==
              Enum.to_list(1..4_000)
 
-    assert length(Enum.filter(Situ.Store.list(root), &(Path.basename(&1) =~ ~r/^placed/))) == 2
+    # On a busy machine, the part may lose its lease once more.
+    versions = Enum.filter(Situ.Store.list(root), &(Path.basename(&1) =~ ~r/^placed/))
+    assert length(versions) >= 2
   end
 
   defp recorded_count(root) do
