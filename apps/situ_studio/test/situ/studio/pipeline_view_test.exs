@@ -60,7 +60,8 @@ defmodule Situ.Studio.PipelineViewTest do
              "End"
            ]
 
-    assert [%{"edges" => edges, "nodes" => nodes}] =
+    # On a busy machine, the page may have had more than one tick.
+    assert [%{"edges" => edges, "nodes" => nodes} | _] =
              Page.take_pushed_events(page, "pipeline:stats")
 
     assert map_size(edges) == length(graph["edges"])
@@ -68,7 +69,7 @@ defmodule Situ.Studio.PipelineViewTest do
     Page.send_info(page, :tick)
     # The shape is unchanged, so only numbers are sent.
     assert Page.take_pushed_events(page, "pipeline:graph") == []
-    assert [_] = Page.take_pushed_events(page, "pipeline:stats")
+    assert [_ | _] = Page.take_pushed_events(page, "pipeline:stats")
     assert Page.text(page, ".status") =~ "running now"
   end
 
