@@ -250,19 +250,31 @@ defmodule Situ.Annotation.TierRules do
     changed = for {_, a, b} <- transaction, %Annotation{} = annotation <- [a, b], do: annotation
     children = Enum.flat_map(changed, &list_children(layer, &1))
     own = for {_, _, %Annotation{} = later} <- transaction, do: later
-    siblings = Enum.flat_map(changed, &list_siblings(layer, &1))
 
-    (own ++ children ++ siblings)
+    (own ++ children ++ list_siblings(layer, changed))
     |> Enum.uniq_by(& &1.id)
-    |> Enum.find_value(:ok, &tier_error(layer, &1))
+    |> check_annotations(layer)
   end
 
   @doc "Checks all annotations of a layer."
   @spec check_layer(layer()) :: :ok | {:error, Error.t()}
   def check_layer(%{schema: %{tiers: []}}), do: :ok
 
-  def check_layer(%{} = layer),
-    do: Enum.find_value(layer.by_id, :ok, fn {_, a} -> tier_error(layer, a) end)
+  def check_layer(%{} = layer), do: layer.by_id |> Map.values() |> check_annotations(layer)
+
+  # A parent with thousands of children is common (a whole recording), so each family is checked once, and not once for
+  # each child. The keys of `checked` are pairs of a tier and a parent.
+  defp check_annotations(annotations, layer) do
+    result =
+      Enum.reduce_while(annotations, %{}, fn annotation, checked ->
+        case check_annotation(layer, annotation, checked) do
+          {:error, _} = error -> {:halt, error}
+          checked -> {:cont, checked}
+        end
+      end)
+
+    if match?({:error, _}, result), do: result, else: :ok
+  end
 
   @doc "Returns the children of an annotation on all tiers below its tier."
   @spec list_children(layer(), Annotation.t()) :: [Annotation.t()]
@@ -272,16 +284,17 @@ defmodule Situ.Annotation.TierRules do
         do: child
   end
 
-  defp list_siblings(layer, annotation) do
-    case Tier.find_tier(layer.schema.tiers, annotation.track) do
-      %{parent: parent} = tier when parent != nil ->
-        for p <- list_between(layer, parent, annotation),
-            child <- list_between(layer, tier.name, p),
-            do: child
-
-      _ ->
-        []
-    end
+  # Returns the annotations of the families that these annotations belong to.
+  defp list_siblings(layer, annotations) do
+    for(
+      a <- annotations,
+      %{parent: parent} = tier <- [Tier.find_tier(layer.schema.tiers, a.track)],
+      parent != nil,
+      p <- list_between(layer, parent, a),
+      do: {tier.name, p}
+    )
+    |> Enum.uniq_by(fn {name, p} -> {name, p.id} end)
+    |> Enum.flat_map(fn {name, p} -> list_between(layer, name, p) end)
   end
 
   @doc "Returns the annotation that an annotation depends on, or `nil`."
@@ -298,13 +311,13 @@ defmodule Situ.Annotation.TierRules do
     end
   end
 
-  defp tier_error(layer, annotation) do
+  defp check_annotation(layer, annotation, checked) do
     tiers = layer.schema.tiers
     tier = Tier.find_tier(tiers, annotation.track)
 
     cond do
       tier == nil ->
-        nil
+        checked
 
       Map.keys(annotation.values) -- [tier.attribute] != [] ->
         {:error, attribute_error(tier)}
@@ -315,25 +328,27 @@ defmodule Situ.Annotation.TierRules do
          bad_tier_error(tier, "an annotation with a parent or children cannot be a point")}
 
       tier.parent == nil ->
-        nil
+        checked
 
       true ->
-        relation_error(layer, tier, annotation)
+        check_family(layer, {tier, annotation}, checked)
     end
   end
 
-  defp relation_error(layer, tier, annotation) do
-    case parent_annotation(layer, annotation) do
-      nil ->
-        {:error, no_parent_error(tier, annotation)}
+  defp check_family(layer, {tier, annotation}, checked) do
+    parent = parent_annotation(layer, annotation)
 
-      parent ->
-        family = layer |> list_between(tier.name, parent) |> Enum.sort_by(&{&1.from, &1.id})
-
-        if fit_times(family, tier.relation, parent) == family,
-          do: nil,
-          else: {:error, bad_tier_error(tier, describe_relation(tier.relation))}
+    cond do
+      parent == nil -> {:error, no_parent_error(tier, annotation)}
+      is_map_key(checked, {tier.name, parent.id}) -> checked
+      family_valid?(layer, tier, parent) -> Map.put(checked, {tier.name, parent.id}, true)
+      true -> {:error, bad_tier_error(tier, describe_relation(tier.relation))}
     end
+  end
+
+  defp family_valid?(layer, tier, parent) do
+    family = layer |> list_between(tier.name, parent) |> Enum.sort_by(&{&1.from, &1.id})
+    fit_times(family, tier.relation, parent) == family
   end
 
   defp describe_relation(:included_in), do: "its annotations must be inside their parents"

@@ -186,6 +186,24 @@ defmodule Situ.Annotation.TierTest do
              Layer.new(schema(), [Annotation.new(0, 10, "Words", %{"Text" => ""})])
   end
 
+  test "the time of an edit is linear in the children of the parent" do
+    work = fn count ->
+      parent = Annotation.new(0, count * 10, "Utterance", %{"Text" => ""})
+
+      words =
+        for i <- 0..(count - 1),
+            do: Annotation.new(i * 10, i * 10 + 5, "Words", %{"Text" => ""})
+
+      {:reductions, before} = Process.info(self(), :reductions)
+      {:ok, layer} = Layer.new(schema(), [parent | words])
+      {:ok, _, _} = Layer.change(layer, 2, to: 7)
+      {:reductions, later} = Process.info(self(), :reductions)
+      later - before
+    end
+
+    assert work.(800) < 6 * work.(200)
+  end
+
   test "overlap rules of the schema" do
     for {rule, expected} <- [
           {"clip", [{0, 10, "a"}, {10, 20, "new"}, {20, 30, "b"}]},

@@ -2,7 +2,7 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
   @moduledoc false
   # Builds a layer from the annotations of a file. No rule of the formats forbids overlaps on a track: the second of two
   # overlapping annotations gets another track. Annotations of child tiers come after their parents. Those without a
-  # parent get another track, too.
+  # parent, or without room beside their siblings, get another track, too.
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema, TierRules}
 
@@ -16,7 +16,7 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
 
     roots
     |> Enum.sort_by(&{&1.from, &1.to})
-    |> add_all({:ok, empty, 0})
+    |> add_all({:ok, empty, 0}, 1)
     |> add_children(children, 1)
     |> case do
       {:ok, layer, 0} ->
@@ -34,9 +34,10 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
     end
   end
 
-  defp add_all(annotations, start) do
+  # `first` is the number of the first track to try: 1 is the annotation's own track.
+  defp add_all(annotations, start, first) do
     Enum.reduce_while(annotations, start, fn annotation, {:ok, layer, moved} ->
-      case add_on_free_track(layer, annotation, annotation.track, 1) do
+      case add_on_free_track(layer, annotation, annotation.track, first) do
         {:ok, layer, 1} -> {:cont, {:ok, layer, moved}}
         {:ok, layer, _} -> {:cont, {:ok, layer, moved + 1}}
         {:error, error} -> {:halt, {:error, error}}
@@ -49,15 +50,13 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
       Enum.split_with(children, &(Schema.find_depth(layer.schema, &1.track) == depth))
 
     {layer, refused} = insert_children(layer, these)
-    refused |> add_all({:ok, layer, moved}) |> add_children(deeper, depth + 1)
+    refused |> add_all({:ok, layer, moved}, 2) |> add_children(deeper, depth + 1)
   end
 
   defp add_children(result, _children, _depth), do: result
 
   defp add_on_free_track(layer, annotation, track, n) do
-    name = if n == 1, do: track, else: "#{track} (#{n})"
-
-    case Layer.add(layer, %{annotation | track: name}) do
+    case Layer.add(layer, %{annotation | track: number_track(layer.schema, track, n)}) do
       {:ok, layer, _} ->
         {:ok, layer, n}
 
@@ -69,6 +68,22 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
     end
   end
 
+  defp number_track(_schema, track, 1), do: track
+
+  # `Words@Ada (2)` would be the tier `Words` of another person. A schema has finitely many tiers, so a number exists
+  # with which the track has none.
+  defp number_track(schema, track, n) do
+    name = "#{track} (#{n})"
+
+    case Schema.find_tier(schema, name) do
+      %{participant: person} when person != nil ->
+        String.replace(track, ~r/(?=@[^@]*$)/, " (#{n})")
+
+      _ ->
+        name
+    end
+  end
+
   # Returns the layer and the annotations that have no parent or overlap others.
   defp insert_children(layer, annotations) do
     families =
@@ -77,44 +92,53 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
       |> Enum.sort_by(fn {{track, parent}, _} -> {track, parent && parent.from} end)
 
     {with_parent, orphans} = Enum.split_with(families, fn {{_, parent}, _} -> parent != nil end)
-    refused = Enum.flat_map(orphans, &elem(&1, 1))
+    {fitted, refused} = with_parent |> Enum.map(&fit_family(layer.schema, &1)) |> Enum.unzip()
+    refused = Enum.concat(Enum.map(orphans, &elem(&1, 1)) ++ refused)
 
     # Usually all families are valid. If not, each one is tried alone.
-    case insert_families(layer, with_parent) do
+    case insert_all(layer, Enum.concat(fitted)) do
       {:ok, layer} ->
         {layer, refused}
 
-      :error ->
-        Enum.reduce(with_parent, {layer, refused}, fn {_, own} = family, {layer, refused} ->
-          case insert_families(layer, [family]) do
+      {:error, _} ->
+        Enum.reduce(fitted, {layer, refused}, fn family, {layer, refused} ->
+          case insert_all(layer, family) do
             {:ok, layer} -> {layer, refused}
-            :error -> {layer, own ++ refused}
+            {:error, _} -> {layer, family ++ refused}
           end
         end)
     end
   end
 
-  defp insert_families(layer, families) do
-    fitted = Enum.map(families, &fit_family(layer.schema, &1))
+  defp insert_all(layer, annotations) do
+    new = for {a, id} <- Enum.with_index(annotations, layer.next), do: {id, nil, %{a | id: id}}
 
-    new =
-      for {a, id} <- fitted |> Enum.concat() |> Enum.with_index(layer.next),
-          do: {id, nil, %{a | id: id}}
-
-    with true <- length(new) == Enum.sum(for {_, own} <- families, do: length(own)),
-         {:ok, layer} <- Layer.apply_transaction(layer, new) do
-      {:ok, layer}
-    else
-      _ -> :error
-    end
+    Layer.apply_transaction(layer, new)
   end
 
+  # Returns the children with the times of their relation, and those that have no room.
   defp fit_family(schema, {{track, parent}, family}) do
     tier = Schema.find_tier(schema, track)
 
-    for a <-
-          family |> Enum.sort_by(&{&1.from, &1.to}) |> TierRules.fit_times(tier.relation, parent),
-        do: %{a | values: Map.take(a.values, [tier.attribute])}
+    numbered =
+      for {a, i} <- family |> Enum.sort_by(&{&1.from, &1.to}) |> Enum.with_index(),
+          do: %{a | id: i}
+
+    fitted = numbered |> TierRules.fit_times(tier.relation, parent) |> drop_overlaps()
+    kept = MapSet.new(fitted, & &1.id)
+
+    {for(a <- fitted, do: %{a | id: nil, values: Map.take(a.values, [tier.attribute])}),
+     for(a <- numbered, a.id not in kept, do: %{a | id: nil})}
+  end
+
+  # The annotations are sorted by start, so each one can only overlap with the last that was kept.
+  defp drop_overlaps(annotations) do
+    annotations
+    |> Enum.reduce([], fn
+      a, [last | _] = kept -> if Annotation.overlap?(last, a), do: kept, else: [a | kept]
+      a, [] -> [a]
+    end)
+    |> Enum.reverse()
   end
 
   defp parent_near(layer, annotation) do
@@ -122,6 +146,7 @@ defmodule Situ.Annotation.Exchange.LayerBuilder do
 
     layer
     |> Layer.between(parent, annotation.from, annotation.to)
+    |> Enum.filter(&(annotation.from == annotation.to or Annotation.overlap?(&1, annotation)))
     |> Enum.max_by(&{min(&1.to, annotation.to) - max(&1.from, annotation.from), &1.to}, fn ->
       nil
     end)

@@ -140,6 +140,82 @@ defmodule Situ.Annotation.Exchange.ElanTest do
     assert Enum.any?(losses, &(&1 =~ "3 annotations have no times"))
   end
 
+  @tag timeout: 10_000
+  test "an annotation without a parent is kept on an additional track of its person" do
+    document = document([0, 100], [{"Words@Ada", [{0, 1}]}])
+    assert {:ok, layer, [loss]} = Exchange.decode(document, :eaf, schema: tiered_schema())
+    assert loss =~ "1 annotations overlap with others of their track or have no parent"
+    assert [%{from: 0, to: 100_000_000}] = Layer.on_track(layer, "Words (2)@Ada")
+  end
+
+  test "an annotation that only touches a parent is not stretched over it" do
+    document = document([0, 10, 50], [{"Utt", [{1, 2}]}, {"Words", [{1, 2}]}, {"Cuts", [{0, 1}]}])
+    assert {:ok, layer, [_loss]} = Exchange.decode(document, :eaf, schema: tiered_schema())
+    assert times(layer, "Cuts (2)") == [{0, 10}]
+  end
+
+  test "children that fit stay on their tier, although others overlap with them" do
+    spans = [{1, 2}, {1, 3}, {2, 3}, {3, 4}]
+    document = document([0, 10, 20, 30, 40, 50], [{"Utt", [{0, 5}]}, {"Words", spans}])
+    assert {:ok, layer, [loss]} = Exchange.decode(document, :eaf, schema: tiered_schema())
+    assert loss =~ "1 annotations overlap"
+    assert times(layer, "Words") == [{10, 20}, {20, 30}, {30, 40}]
+    assert times(layer, "Words (2)") == [{10, 30}]
+  end
+
+  for {tier, parents} <- [
+        {"Words", ~w(Utt)},
+        {"Cuts", ~w(Utt Words)},
+        {"Morphs", ~w(Utt Words Cuts)}
+      ] do
+    test "the time to read and write #{tier} is linear in the children of one parent" do
+      work = fn count ->
+        spans = for i <- 0..(count - 1), do: {i, i + 1}
+        tiers = Enum.map(unquote(parents), &{&1, [{0, count}]}) ++ [{unquote(tier), spans}]
+        document = document(Enum.to_list(0..count), tiers)
+
+        count_reductions(fn ->
+          assert {:ok, layer, []} = Exchange.decode(document, :eaf, schema: tiered_schema())
+          assert length(Layer.on_track(layer, unquote(tier))) == count
+          {:ok, _text, []} = Exchange.encode(layer, :eaf)
+        end)
+      end
+
+      assert work.(800) < 6 * work.(200)
+    end
+  end
+
+  # Returns a document with time slots at these times (ms), and tiers whose annotations last from one slot to another.
+  defp document(times, tiers) do
+    slots =
+      for {ms, i} <- Enum.with_index(times),
+          do: ~s(<TIME_SLOT TIME_SLOT_ID="ts#{i}" TIME_VALUE="#{ms}"/>)
+
+    tiers =
+      for {name, spans} <- tiers do
+        annotations =
+          for {from, to} <- spans do
+            ~s(<ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="#{name}#{from}-#{to}" ) <>
+              ~s(TIME_SLOT_REF1="ts#{from}" TIME_SLOT_REF2="ts#{to}"><ANNOTATION_VALUE>x</ANNOTATION_VALUE>) <>
+              "</ALIGNABLE_ANNOTATION></ANNOTATION>"
+          end
+
+        ~s(<TIER LINGUISTIC_TYPE_REF="Text" TIER_ID="#{name}">#{annotations}</TIER>)
+      end
+
+    "<ANNOTATION_DOCUMENT><TIME_ORDER>#{slots}</TIME_ORDER>#{tiers}</ANNOTATION_DOCUMENT>"
+  end
+
+  defp times(layer, track),
+    do: for(a <- Layer.on_track(layer, track), do: {div(a.from, @ms), div(a.to, @ms)})
+
+  defp count_reductions(fun) do
+    {:reductions, before} = Process.info(self(), :reductions)
+    fun.()
+    {:reductions, later} = Process.info(self(), :reductions)
+    later - before
+  end
+
   defp tiered_schema do
     {:ok, schema} =
       Schema.parse(%{
