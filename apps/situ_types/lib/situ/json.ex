@@ -34,6 +34,9 @@ defmodule Situ.JSON do
   # The time to parse an integer is quadratic in its number of digits, and the scheduler is blocked in the meantime.
   @most_digits 400
 
+  # jiffy accepts an exponent without digits.
+  @exponents ["e+", "e-", "E+", "E-"]
+
   @doc """
   Decodes one value. Its strings are copies, so they do not keep `text` in memory. If a key occurs several times, the
   last one is used; with `objects: :pairs`, all members are returned in order.
@@ -49,15 +52,35 @@ defmodule Situ.JSON do
   """
   @spec decode(binary(), keyword()) :: {:ok, value()} | {:error, :bad_json}
   def decode(text, opts \\ []) when is_binary(text) do
-    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse_value(text, opts[:objects])}
+    if invalid_number?(text),
+      do: {:error, :bad_json},
+      else: {:ok, parse_value(text, opts[:objects])}
   catch
     _, _ -> {:error, :bad_json}
   end
 
-  # Digits inside a string are harmless, so the text is scanned for strings only if it has a long run of digits.
-  defp long_number?(text), do: text =~ ~r/[0-9]{401}/ and scan_outside_string(text, 0)
+  # Such a number inside a string is harmless, so the text is scanned for strings only if it seems to have one.
+  defp invalid_number?(text),
+    do:
+      (text =~ ~r/[0-9]{401}/ or exponent_without_digits?(text)) and scan_outside_string(text, 0)
+
+  defp exponent_without_digits?(text) do
+    text
+    |> :binary.matches(@exponents)
+    |> Enum.any?(fn {at, 2} ->
+      at + 2 >= byte_size(text) or :binary.at(text, at + 2) not in ?0..?9
+    end)
+  end
 
   defp scan_outside_string(_, n) when n > @most_digits, do: true
+
+  defp scan_outside_string(<<e, sign, rest::binary>>, _)
+       when e in [?e, ?E] and sign in [?+, ?-] do
+    case rest do
+      <<digit, _::binary>> when digit in ?0..?9 -> scan_outside_string(rest, 0)
+      _ -> true
+    end
+  end
 
   defp scan_outside_string(<<digit, rest::binary>>, n) when digit in ?0..?9,
     do: scan_outside_string(rest, n + 1)

@@ -72,6 +72,14 @@ defmodule Situ.JSONTest do
     assert Situ.JSON.decode(~s(["#{text}"])) == {:ok, [~s(" #{digits.(1_000)})]}
   end
 
+  test "refuses an exponent without digits, but not in strings" do
+    for bad <- ["1e+", "[0E-]", "[1.0e-]", ~s({"e+":0.3e+}), ~s(["e-", 2E+ ])],
+        do: assert(Situ.JSON.decode(bad) == {:error, :bad_json})
+
+    text = ~s(["1e+", "\\"e-x", 1e+2, 2.5E-1])
+    assert Situ.JSON.decode(text) == {:ok, ["1e+", "\"e-x", 100.0, 0.25]}
+  end
+
   test "raises for terms that JSON cannot represent" do
     for bad <- [{1, 2}, self(), fn -> 1 end],
         do: assert_raise(ErlangError, fn -> Situ.JSON.encode(bad) end)

@@ -101,9 +101,21 @@ defmodule Situ.Bridge.MessagePack do
   defp extension_header(n) when n <= 0xFFFF, do: <<0xC8, n::16>>
   defp extension_header(n), do: <<0xC9, n::32>>
 
+  # The shortest of the three forms, as the specification asks.
   defp encode_timestamp(ns) do
     seconds = Integer.floor_div(ns, 1_000_000_000)
-    <<0xC7, 12, -1::signed-8, Integer.mod(ns, 1_000_000_000)::32, seconds::signed-64>>
+    fraction = Integer.mod(ns, 1_000_000_000)
+
+    case {seconds, fraction} do
+      {seconds, 0} when seconds in 0..0xFFFF_FFFF ->
+        <<0xD6, -1::signed-8, seconds::32>>
+
+      {seconds, _} when seconds in 0..0x3_FFFF_FFFF ->
+        <<0xD7, -1::signed-8, fraction::30, seconds::34>>
+
+      _ ->
+        <<0xC7, 12, -1::signed-8, fraction::32, seconds::signed-64>>
+    end
   end
 
   @doc "Decodes the first value; also returns the remaining bytes. Option: `objects: :maps | :pairs`."
