@@ -8,7 +8,6 @@ defmodule Situ.Bridge.FormatTest do
   doctest TimeFormat
   doctest Format.Value
   doctest Csv.Number
-  doctest Csv.Row
 
   # 1971-11-03T00:00:00.1234567Z
   @time 57_974_400_123_456_700

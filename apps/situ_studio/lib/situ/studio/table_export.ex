@@ -86,7 +86,7 @@ defmodule Situ.Studio.TableExport do
   @spec csv_row(String.t(), Situ.Message.t()) :: String.t()
   def csv_row(stream, %Situ.Message{originating_time: time, data: data}) do
     fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, format_value(data)]
-    Enum.map_join(fields, ",", &escape_field/1) <> "\r\n"
+    fields |> Enum.map(&escape_formula/1) |> Situ.CsvRow.encode_row() |> IO.iodata_to_binary()
   end
 
   defp format_value(data) when is_number(data), do: to_string(data)
@@ -107,14 +107,11 @@ defmodule Situ.Studio.TableExport do
   defp format_size(data), do: "#{byte_size(data)} bytes"
 
   # An apostrophe keeps spreadsheets from running text as a formula; numbers are unchanged.
-  defp escape_field(<<c, _::binary>> = text) when c in ~c"=+-@" do
-    if match?({_, ""}, Float.parse(text)), do: text, else: quote_field("'" <> text)
+  defp escape_formula(<<c, _::binary>> = text) when c in ~c"=+-@" do
+    if match?({_, ""}, Float.parse(text)), do: text, else: "'" <> text
   end
 
-  defp escape_field(text),
-    do: if(String.contains?(text, [",", "\"", "\r", "\n"]), do: quote_field(text), else: text)
-
-  defp quote_field(text), do: "\"" <> String.replace(text, "\"", "\"\"") <> "\""
+  defp escape_formula(text), do: text
 
   @doc "Encodes audio between two times as a WAV file of 32-bit floats with all channels; gaps are silence."
   @spec encode_wav(Situ.Recording.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::

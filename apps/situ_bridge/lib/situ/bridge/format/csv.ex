@@ -3,8 +3,9 @@ defmodule Situ.Bridge.Format.Csv do
   # Encodes messages as records of comma-separated fields (RFC 4180) with a heading.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.{TimeFormat, Value}
-  alias Situ.Bridge.Format.Csv.{Number, Row}
+  alias Situ.Bridge.Format.Csv.Number
   alias Situ.Bridge.Native
+  alias Situ.CsvRow
 
   @time "_OriginatingTime_"
   @value "_Value_"
@@ -15,7 +16,7 @@ defmodule Situ.Bridge.Format.Csv do
   @impl true
   def record(value, time, 0) do
     {names, fields} = value |> named_fields() |> Enum.unzip()
-    [Row.encode_row([@time | names]), encode_row(time, fields)]
+    [CsvRow.encode_row([@time | names]), encode_row(time, fields)]
   end
 
   def record(value, time, n) when is_integer(n),
@@ -42,11 +43,11 @@ defmodule Situ.Bridge.Format.Csv do
   defp named_fields(value), do: value |> prepare_value() |> value_columns()
 
   defp encode_row(time, fields),
-    do: Row.encode_row([TimeFormat.to_iso8601(time) | Enum.map(fields, &format_field/1)])
+    do: CsvRow.encode_row([TimeFormat.to_iso8601(time) | Enum.map(fields, &format_field/1)])
 
   @impl true
   def columns(%{kind: kind, times: times, values: values}, position) do
-    heading = if position == 0, do: Row.encode_row([@time, @value]), else: []
+    heading = if position == 0, do: CsvRow.encode_row([@time, @value]), else: []
     [heading, Native.csv_lines(kind, times, values)]
   end
 
@@ -96,7 +97,7 @@ defmodule Situ.Bridge.Format.Csv do
 
   @impl true
   def split(bytes, nil, last?, opts) do
-    case Row.parse_row(bytes, last?) do
+    case CsvRow.parse_row(bytes, last?) do
       {:ok, [@time | names], rest} -> split(rest, names, last?, opts)
       {:ok, _other, _rest} -> {:error, "its first column is not #{@time}"}
       :more when last? and bytes != "" -> {:error, "it has no heading"}
@@ -108,7 +109,7 @@ defmodule Situ.Bridge.Format.Csv do
   def split(bytes, names, last?, opts), do: parse_records(bytes, names, last?, opts, [])
 
   defp parse_records(bytes, names, last?, opts, messages) do
-    case Row.parse_row(bytes, last?) do
+    case CsvRow.parse_row(bytes, last?) do
       {:ok, [""], rest} ->
         parse_records(rest, names, last?, opts, messages)
 

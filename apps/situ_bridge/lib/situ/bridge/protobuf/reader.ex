@@ -218,18 +218,25 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp build_member(%{type: {:message, name}}, values, schema, budget, depth),
     do: values |> IO.iodata_to_binary() |> decode_message(name, schema, budget, depth + 1)
 
-  defp build_member(%{repeated?: true} = field, values, schema, budget, _depth) do
-    values =
-      Enum.flat_map(values, fn
-        {:packed, list} -> Enum.map(list, &enum_name(field, &1, schema))
-        value -> [enum_name(field, value, schema)]
-      end)
-
-    {values, budget}
-  end
+  defp build_member(%{repeated?: true} = field, values, schema, budget, _depth),
+    do: {values |> join_packed() |> enum_names(field, schema), budget}
 
   defp build_member(field, values, schema, budget, _depth),
     do: {enum_name(field, List.last(values), schema), budget}
+
+  defp join_packed([{:packed, list}]), do: list
+
+  defp join_packed(values) do
+    Enum.flat_map(values, fn
+      {:packed, list} -> list
+      value -> [value]
+    end)
+  end
+
+  defp enum_names(values, %{type: {:enum, _}} = field, schema),
+    do: Enum.map(values, &enum_name(field, &1, schema))
+
+  defp enum_names(values, _field, _schema), do: values
 
   defp enum_name(%{type: {:enum, name}}, n, schema), do: Map.get(schema.enums[name].names, n, n)
   defp enum_name(_field, value, _schema), do: value

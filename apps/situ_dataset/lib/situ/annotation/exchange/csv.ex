@@ -11,6 +11,7 @@ defmodule Situ.Annotation.Exchange.Csv do
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.{Layer, Schema}
+  alias Situ.CsvRow
 
   @own ~w(from to from_s to_s track by confidence proposed note)
 
@@ -23,7 +24,7 @@ defmodule Situ.Annotation.Exchange.Csv do
         Enum.map(attributes, &column_name/1) ++ ~w(by confidence proposed note)
 
     rows = for a <- Layer.annotations(layer), do: build_row(a, attributes, opts[:origin])
-    {Enum.map([head | rows], &encode_line/1), []}
+    {Enum.map([head | rows], &CsvRow.encode_row/1), []}
   end
 
   # An attribute with the name of a fixed column gets a prefix.
@@ -40,15 +41,6 @@ defmodule Situ.Annotation.Exchange.Csv do
       seconds ++
       [a.track | values] ++
       [a.by || "", to_string(a.confidence || ""), to_string(a.proposed?), a.note || ""]
-  end
-
-  defp encode_line(cells),
-    do: [cells |> Enum.map(&encode_cell/1) |> Enum.intersperse(","), "\r\n"]
-
-  defp encode_cell(text) do
-    if text =~ ~r/[",\r\n]/ or String.trim(text) != text,
-      do: ["\"", String.replace(text, "\"", "\"\""), "\""],
-      else: text
   end
 
   @impl true
@@ -168,40 +160,12 @@ defmodule Situ.Annotation.Exchange.Csv do
   defp parse_table(<<0xEF, 0xBB, 0xBF, text::binary>>), do: parse_table(text)
 
   defp parse_table(text) do
-    if String.valid?(text), do: parse_rows(text, [], []), else: {:error, "it is not UTF-8"}
+    if String.valid?(text),
+      do: text |> end_lines() |> CsvRow.parse_rows(),
+      else: {:error, "it is not UTF-8"}
   end
 
-  defp parse_rows("", [], rows), do: {:ok, Enum.reverse(rows)}
-
-  defp parse_rows(text, cells, rows) do
-    case take_cell(text) do
-      {:ok, cell, "," <> rest} -> parse_rows(rest, [cell | cells], rows)
-      {:ok, cell, rest} -> next_row(rest, add_row([cell | cells], rows))
-      :error -> {:error, "a quoted cell has no closing quotation mark"}
-    end
-  end
-
-  defp add_row([""], rows), do: rows
-  defp add_row(cells, rows), do: [Enum.reverse(cells) | rows]
-
-  defp next_row("\r\n" <> rest, rows), do: parse_rows(rest, [], rows)
-  defp next_row("\n" <> rest, rows), do: parse_rows(rest, [], rows)
-  defp next_row("\r" <> rest, rows), do: parse_rows(rest, [], rows)
-  defp next_row("", rows), do: {:ok, Enum.reverse(rows)}
-  defp next_row(_, _rows), do: {:error, "a quoted cell is followed by other text"}
-
-  defp take_cell("\"" <> text), do: take_quoted(text, "")
-
-  defp take_cell(text) do
-    [cell] = Regex.run(~r/\A[^,\r\n]*/u, text)
-    {:ok, cell, binary_part(text, byte_size(cell), byte_size(text) - byte_size(cell))}
-  end
-
-  defp take_quoted(text, value) do
-    case String.split(text, "\"", parts: 2) do
-      [part, "\"" <> rest] -> take_quoted(rest, value <> part <> "\"")
-      [part, rest] -> {:ok, value <> part, rest}
-      [_] -> :error
-    end
-  end
+  # Some programs end lines with a carriage return only.
+  defp end_lines(text),
+    do: if(String.contains?(text, "\n"), do: text, else: String.replace(text, "\r", "\n"))
 end

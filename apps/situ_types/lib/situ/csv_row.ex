@@ -1,6 +1,7 @@
-defmodule Situ.Bridge.Format.Csv.Row do
+defmodule Situ.CsvRow do
   @moduledoc false
-  # One record of fields (RFC 4180): fields with commas, quotes or line breaks are quoted, and quotes are doubled.
+  # One record of a CSV text (RFC 4180): fields with commas, quotes or line breaks are quoted, and quotes are doubled.
+  # Whole CSV files are read by native code (`Situ.Store.Csv`).
   import Situ.BinarySize, only: [pinned_size: 1]
 
   @max_field 16 * 1024 * 1024
@@ -8,7 +9,7 @@ defmodule Situ.Bridge.Format.Csv.Row do
   @doc """
   Encodes fields as a record.
 
-      iex> IO.iodata_to_binary(Situ.Bridge.Format.Csv.Row.encode_row(["a", "b,c", ~s(say "so")]))
+      iex> IO.iodata_to_binary(Situ.CsvRow.encode_row(["a", "b,c", ~s(say "so")]))
       ~s(a,"b,c","say ""so\"""\\r\\n)
   """
   @spec encode_row([String.t()]) :: iodata()
@@ -30,6 +31,28 @@ defmodule Situ.Bridge.Format.Csv.Row do
   defp plain_ascii?(rest), do: rest == ""
 
   defp needs_quotes?(field), do: String.contains?(field, [",", "\"", "\r", "\n"])
+
+  @doc """
+  Returns all records of a text. Empty lines are left out. The error is a sentence.
+
+      iex> Situ.CsvRow.parse_rows(~s(a,b\\n\\n1,"2,3"))
+      {:ok, [["a", "b"], ["1", "2,3"]]}
+      iex> Situ.CsvRow.parse_rows(~s(a,"b))
+      {:error, "a quoted field has no closing quote"}
+  """
+  @spec parse_rows(binary()) :: {:ok, [[String.t()]]} | {:error, String.t()}
+  def parse_rows(text), do: parse_rows(text, [])
+
+  defp parse_rows("", rows), do: {:ok, Enum.reverse(rows)}
+
+  defp parse_rows(text, rows) do
+    case parse_row(text, true) do
+      {:ok, [""], rest} -> parse_rows(rest, rows)
+      {:ok, row, rest} -> parse_rows(rest, [row | rows])
+      :more -> {:error, "a quoted field has no closing quote"}
+      error -> error
+    end
+  end
 
   @doc "Returns the first record and the remaining bytes; `:more` if it is incomplete. `last?`: no bytes follow."
   @spec parse_row(binary(), boolean()) ::
