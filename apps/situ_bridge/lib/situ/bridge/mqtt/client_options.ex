@@ -28,6 +28,14 @@ defmodule Situ.Bridge.Mqtt.ClientOptions do
       doc:
         "The protocol level: 5 for MQTT 5, 4 for MQTT 3.1.1. By default 5, and 4 if the broker does not support 5."
     ],
+    keep_alive: [
+      type: {:integer, 0, 65_535},
+      default: 60,
+      doc:
+        "How long the connection may be silent, s. The client pings the broker twice in this time and reconnects if " <>
+          "nothing comes back. The broker disconnects a client, and publishes its will, after one and a half times " <>
+          "this time. 0: no pings, and a broker whose machine is gone is not noticed."
+    ],
     session_expiry: [
       type: {:integer, 0, 4_294_967_295},
       default: 3_600,
@@ -76,6 +84,14 @@ defmodule Situ.Bridge.Mqtt.ClientOptions do
 
     topic
   end
+
+  @doc """
+  Returns the interval between two pings, ms (0: none). A broker's reply with MQTT 5 may set another time than the
+  client's option.
+  """
+  @spec ping_interval_ms(keyword(), map()) :: non_neg_integer()
+  def ping_interval_ms(opts, properties \\ %{}),
+    do: 500 * (properties[:server_keep_alive] || opts[:keep_alive] || 0)
 
   @doc "Returns the broker's port."
   @spec port(keyword()) :: :inet.port_number()

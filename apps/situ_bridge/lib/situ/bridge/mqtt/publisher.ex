@@ -4,8 +4,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   # QoS 2, the broker keeps the session between connections, so that no message is published twice.
   use GenServer
   require Logger
-  alias Situ.Bridge.Mqtt.{Outbox, Reason, Wire}
-  alias Situ.Bridge.Net.{ClientSocket, Drain, SendQueue}
+  alias Situ.Bridge.Mqtt.{ClientOptions, Outbox, Reason, Wire}
+  alias Situ.Bridge.Net.{ClientSocket, Drain, KeepAlive, SendQueue}
   alias Situ.Bridge.PeerSender
   @behaviour PeerSender
 
@@ -25,6 +25,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     :opts,
     :version,
     :tcp,
+    :keep_alive,
     :logged_error,
     up?: false,
     was_up?: false,
@@ -104,7 +105,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     with {:ok, tcp} <-
            ClientSocket.connect(opts[:host], opts[:port], opts[:tls], SendQueue.socket_options()),
          :ok <- ClientSocket.send_bytes(tcp, encode_connect(state)) do
-      {:noreply, %{state | tcp: tcp, received_bytes: "", answered?: false}}
+      state = %{state | tcp: tcp, received_bytes: "", answered?: false}
+      {:noreply, keep_alive(state, ClientOptions.ping_interval_ms(opts))}
     else
       {:error, reason} -> {:noreply, schedule_reconnect(state, reason)}
     end
@@ -122,6 +124,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_info(message, state) do
     case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} ->
+        state = %{state | keep_alive: KeepAlive.note_bytes(state.keep_alive)}
         state = handle_packets(%{state | received_bytes: state.received_bytes <> bytes})
         if state.tcp, do: ClientSocket.activate_once(state.tcp)
         {:noreply, state}
@@ -130,7 +133,22 @@ defmodule Situ.Bridge.Mqtt.Publisher do
         {:noreply, schedule_reconnect(lower_version(state), reason)}
 
       :other ->
-        {:noreply, state}
+        {:noreply, check_peer(message, state)}
+    end
+  end
+
+  defp keep_alive(%{keep_alive: %{interval_ms: interval_ms}} = state, interval_ms), do: state
+
+  defp keep_alive(state, interval_ms) do
+    KeepAlive.stop(state.keep_alive)
+    %{state | keep_alive: KeepAlive.start_link(state.tcp, interval_ms, Wire.encode_ping())}
+  end
+
+  defp check_peer(message, state) do
+    case KeepAlive.handle_info(message, state.keep_alive) do
+      {:ok, keep_alive} -> %{state | keep_alive: keep_alive}
+      {:silent, why} -> schedule_reconnect(state, why)
+      :other -> state
     end
   end
 
@@ -168,6 +186,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     {received, outbox} = Outbox.restart(state.outbox, present? and state.opts[:qos] == 2)
     state = %{state | up?: true, was_up?: true, answered?: true, wait_ms: @min_wait_ms}
     state = %{state | logged_error: nil, limits: limits, aliases: %{}, outbox: outbox}
+    state = keep_alive(state, ClientOptions.ping_interval_ms(state.opts, limits))
     warn_of_limits(state)
     releases = Enum.map(received, &Wire.encode_acknowledgement(:pubrel, &1))
     send_waiting(send_packet(releases, state))
@@ -274,12 +293,14 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # A repeated error is logged once, not at every attempt.
   defp schedule_reconnect(state, reason) do
+    KeepAlive.stop(state.keep_alive)
     if state.tcp, do: ClientSocket.close(state.tcp)
     if state.logged_error != reason and reason != :closed, do: log_error(state, reason)
 
     Process.send_after(self(), :connect, state.wait_ms)
     wait_ms = min(state.wait_ms * 2, @max_wait_ms)
-    %{state | tcp: nil, up?: false, logged_error: reason, wait_ms: wait_ms}
+    state = %{state | tcp: nil, keep_alive: nil, up?: false}
+    %{state | logged_error: reason, wait_ms: wait_ms}
   end
 
   defp log_error(%{opts: opts}, text),

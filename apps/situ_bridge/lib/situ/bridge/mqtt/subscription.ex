@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Mqtt.Subscription do
   # that has the subscription already. With QoS 2, a message is delivered when it first arrives, and its identifier is
   # kept until the broker releases it, over all connections of a session. Pure.
   @behaviour Situ.Bridge.Net.Protocol
-  alias Situ.Bridge.Mqtt.{Message, Reason, Wire}
+  alias Situ.Bridge.Mqtt.{ClientOptions, Message, Reason, Wire}
 
   # A connection that ends before the broker's first packet may come from a broker that does not know MQTT 5.
   @max_silent 3
@@ -13,6 +13,7 @@ defmodule Situ.Bridge.Mqtt.Subscription do
   defstruct [
     :arg,
     :version,
+    ping_interval_ms: 0,
     buffer: "",
     answered?: false,
     progress?: false,
@@ -57,9 +58,14 @@ defmodule Situ.Bridge.Mqtt.Subscription do
 
     options = [version: version, clean: clean, properties: properties] ++ arg
 
+    state = %{state | ping_interval_ms: ClientOptions.ping_interval_ms(arg)}
+
     {Wire.encode_connect(options),
      %{state | buffer: "", answered?: false, progress?: false, aliases: %{}}}
   end
+
+  @impl true
+  def keep_alive(state), do: {state.ping_interval_ms, Wire.encode_ping()}
 
   defp keeps_session?(arg), do: arg[:session] != nil or arg[:qos] == 2
 
@@ -112,7 +118,9 @@ defmodule Situ.Bridge.Mqtt.Subscription do
   defp handle_packet({:connack, present?, 0, properties}, state) do
     received = if present?, do: state.received, else: MapSet.new()
     again? = present? and state.proven?
+    interval_ms = ClientOptions.ping_interval_ms(state.arg, properties)
     state = %{state | answered?: true, proven?: true, received: received}
+    state = %{state | ping_interval_ms: interval_ms}
 
     cond do
       present? and state.subscribed? ->

@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
 
   @doc """
   Encodes a client's first packet. `opts` are `id`, `version`, `clean` (the broker forgets an earlier session),
-  `username`, `password`, `will` (see `Situ.Bridge.Mqtt`) and `properties`.
+  `keep_alive` (s, by default off), `username`, `password`, `will` (see `Situ.Bridge.Mqtt`) and `properties`.
   """
   @spec encode_connect(keyword()) :: iodata()
   def encode_connect(opts) do
@@ -41,12 +41,12 @@ defmodule Situ.Bridge.Mqtt.Wire do
     password_flag = if password, do: 0x40, else: 0
     {will_flags, will} = encode_will(opts[:will], version)
     texts = for text <- [opts[:username], password], text, do: encode_text(text)
-    # Keep-alive is off, so no packets are sent merely to keep the connection open.
+
     encode_packet(1, 0, [
       encode_text("MQTT"),
       version,
       clean ||| user ||| password_flag ||| will_flags,
-      <<0::16>>,
+      <<opts[:keep_alive] || 0::16>>,
       encode_properties(opts[:properties] || [], version),
       encode_text(opts[:id]),
       will | texts
@@ -109,6 +109,10 @@ defmodule Situ.Bridge.Mqtt.Wire do
     {kind, flags} = Map.fetch!(@acknowledgements, name)
     encode_packet(kind, flags, <<id::16>>)
   end
+
+  @doc "Encodes a ping, which the broker answers."
+  @spec encode_ping() :: iodata()
+  def encode_ping, do: encode_packet(12, 0, "")
 
   @doc "Encodes the last packet. With MQTT 5, `properties` can end the session (`session_expiry: 0`)."
   @spec encode_disconnect(version(), keyword()) :: iodata()

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Source do
   alias Situ.Bridge.PayloadDecoder
-  alias Situ.Bridge.Net.{ClientSocket, ReceiveBuffer}
+  alias Situ.Bridge.Net.{ClientSocket, KeepAlive, ReceiveBuffer}
 
   @schema [
             host: [type: :string, required: true, doc: "The host of the server."],
@@ -41,6 +41,7 @@ defmodule Situ.Bridge.Net.Source do
      %{
        opts: opts,
        tcp: nil,
+       keep_alive: nil,
        protocol_state: nil,
        receive_buffer: %ReceiveBuffer{},
        decoder: PayloadDecoder.new(opts),
@@ -62,7 +63,8 @@ defmodule Situ.Bridge.Net.Source do
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
-      {[], %{state | tcp: tcp, protocol_state: protocol_state, receive_buffer: %ReceiveBuffer{}}}
+      state = %{state | tcp: tcp, protocol_state: protocol_state}
+      {[], keep_alive(%{state | receive_buffer: %ReceiveBuffer{}})}
     else
       {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
@@ -70,9 +72,45 @@ defmodule Situ.Bridge.Net.Source do
 
   def handle_info(message, context, state) do
     case ClientSocket.match_message(message, state.tcp) do
-      {:ok, bytes} -> handle_bytes(bytes, context, state)
-      {:disconnected, reason} -> {[], schedule_reconnect(state, reason)}
-      :other -> {[], state}
+      {:ok, bytes} ->
+        handle_bytes(bytes, context, %{state | keep_alive: KeepAlive.note_bytes(state.keep_alive)})
+
+      {:disconnected, reason} ->
+        {[], schedule_reconnect(state, reason)}
+
+      :other ->
+        {[], check_peer(message, state)}
+    end
+  end
+
+  defp check_peer(message, state) do
+    case KeepAlive.handle_info(message, state.keep_alive) do
+      {:ok, keep_alive} ->
+        %{state | keep_alive: keep_alive}
+
+      {:silent, why} ->
+        ClientSocket.close(state.tcp)
+        schedule_reconnect(state, why)
+
+      :other ->
+        state
+    end
+  end
+
+  # A server may set another interval while it is connected.
+  defp keep_alive(%{tcp: tcp, keep_alive: current, protocol_state: protocol_state} = state) do
+    {module, _arg} = state.opts[:protocol]
+
+    {interval_ms, ping} =
+      if function_exported?(module, :keep_alive, 1),
+        do: module.keep_alive(protocol_state),
+        else: {0, ""}
+
+    if interval_ms == if(current, do: current.interval_ms, else: 0) do
+      state
+    else
+      KeepAlive.stop(current)
+      %{state | keep_alive: KeepAlive.start_link(tcp, interval_ms, ping)}
     end
   end
 
@@ -114,8 +152,8 @@ defmodule Situ.Bridge.Net.Source do
         if reply != "", do: ClientSocket.send_bytes(tcp, reply)
         ClientSocket.activate_once(tcp)
 
-        {actions,
-         reset_backoff(%{state | protocol_state: protocol_state, decoder: decoder}, payloads)}
+        state = keep_alive(%{state | protocol_state: protocol_state, decoder: decoder})
+        {actions, reset_backoff(state, payloads)}
 
       {:error, why} ->
         ClientSocket.close(tcp)
@@ -156,8 +194,10 @@ defmodule Situ.Bridge.Net.Source do
     if state.logged_error != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
+    KeepAlive.stop(state.keep_alive)
     Process.send_after(self(), :connect, state.wait_ms)
-    %{state | tcp: nil, logged_error: reason, wait_ms: min(state.wait_ms * 2, @max_wait_ms)}
+    state = %{state | tcp: nil, keep_alive: nil}
+    %{state | logged_error: reason, wait_ms: min(state.wait_ms * 2, @max_wait_ms)}
   end
 
   @impl true
@@ -167,8 +207,9 @@ defmodule Situ.Bridge.Net.Source do
   def terminate(_reason, state), do: close_connection(state)
 
   defp close_connection(state) do
+    KeepAlive.stop(state.keep_alive)
     if state.tcp, do: say_goodbye(state)
-    %{state | tcp: nil, open?: false}
+    %{state | tcp: nil, keep_alive: nil, open?: false}
   end
 
   defp say_goodbye(%{tcp: tcp, opts: opts} = state) do

@@ -112,6 +112,62 @@ defmodule Situ.Bridge.Mqtt.SessionTest do
 
   defp bytes(iodata), do: IO.iodata_to_binary(iodata)
 
+  # The broker's machine is gone: its connection is open, but nothing answers.
+  test "connects again if the broker no longer answers pings", %{listener: listener, port: port} do
+    me = self()
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Mqtt.subscribe("127.0.0.1", "t", port: port, format: :raw, keep_alive: 1)
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    {socket, hello} = accept(listener)
+    <<0x10, _, 4::16, "MQTT", 5, _flags, 1::16, _::binary>> = hello
+    :gen_tcp.send(socket, @accepted_5)
+    assert <<0x82, _::binary>> = receive_bytes(socket)
+    :gen_tcp.send(socket, <<0x90, 4, 1::16, 0, 1>>)
+    # While it answers, the connection stays.
+    for _ <- 1..4 do
+      assert receive_bytes(socket) == <<0xC0, 0>>
+      :gen_tcp.send(socket, <<0xD0, 0>>)
+    end
+
+    {socket, _hello} = accept(listener)
+    :gen_tcp.send(socket, @accepted_5)
+    assert <<0x82, _::binary>> = receive_bytes(socket)
+    :gen_tcp.send(socket, <<0x90, 4, 1::16, 0, 1, 0x30, 5, 1::16, "t", 0, "a">>)
+    assert_receive {:got, "a"}, 10_000
+    Situ.Pipeline.stop(pipeline)
+  end
+
+  test "sends messages again if the broker no longer answers", %{listener: listener, port: port} do
+    {:ok, pipeline} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Situ.from_enumerable([{1, "a"}])
+        |> Mqtt.publish("127.0.0.1", "t", port: port, format: :raw, keep_alive: 60, linger: 30_000)
+      end)
+
+    # The broker sets a shorter time than the client.
+    {socket, _hello} = accept(listener)
+    :gen_tcp.send(socket, <<0x20, 6, 0, 0, 3, 0x13, 1::16>>)
+    assert {:publish, %{payload: "a", id: 1}} = receive_packet(socket)
+    assert receive_bytes(socket) == <<0xC0, 0>>
+
+    {socket, _hello} = accept(listener)
+    :gen_tcp.send(socket, @accepted_5)
+    assert {:publish, %{payload: "a", id: 1}} = receive_packet(socket)
+    :gen_tcp.send(socket, <<0x40, 2, 1::16>>)
+    assert {:ok, _} = Situ.Pipeline.await(pipeline)
+  end
+
+  defp receive_bytes(socket) do
+    {:ok, bytes} = :gen_tcp.recv(socket, 0, 10_000)
+    bytes
+  end
+
   defp accept(listener) do
     {:ok, socket} = :gen_tcp.accept(listener, 10_000)
     {:ok, bytes} = :gen_tcp.recv(socket, 0, 10_000)
