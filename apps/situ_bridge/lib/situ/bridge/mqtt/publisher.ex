@@ -303,8 +303,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     %{state | logged_error: reason, wait_ms: wait_ms}
   end
 
-  defp log_error(%{opts: opts}, text),
-    do: Logger.warning("#{opts[:host]}:#{opts[:port]}: #{inspect(text)}")
+  defp log_error(%{opts: opts}, reason),
+    do: Logger.warning("#{opts[:host]}:#{opts[:port]}: #{ClientSocket.describe_reason(reason)}")
 
   @impl true
   def terminate(_reason, %{tcp: nil}), do: :ok

@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Net.ClientSocket do
   @spec connect(String.t(), :inet.port_number(), tls(), keyword()) ::
           {:ok, t()} | {:error, term()}
   def connect(host, port, tls, options) do
-    options = [:binary, active: :once] ++ options
+    options = [:binary, active: :once] ++ Situ.TcpKeepalive.options() ++ options
 
     if tls in [nil, false] do
       with {:ok, tcp} <- :gen_tcp.connect(String.to_charlist(host), port, options, 2_000),
@@ -127,4 +127,20 @@ defmodule Situ.Bridge.Net.ClientSocket do
     do: {:disconnected, reason}
 
   def match_message(_other, _socket), do: :other
+
+  @doc "Describes why a connection failed or ended, for people."
+  @spec describe_reason(term()) :: String.t()
+  def describe_reason(text) when is_binary(text), do: text
+  def describe_reason(:closed), do: "the other side has closed the connection"
+  def describe_reason(:etimedout), do: "the other machine no longer answers"
+
+  def describe_reason(reason) when is_atom(reason) do
+    case to_string(:inet.format_error(reason)) do
+      "unknown POSIX error" <> _ -> inspect(reason)
+      text -> text
+    end
+  end
+
+  def describe_reason({:tls_alert, {_, text}}), do: "TLS: #{text}"
+  def describe_reason(other), do: inspect(other, limit: 20)
 end

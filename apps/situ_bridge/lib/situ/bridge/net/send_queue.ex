@@ -12,7 +12,10 @@ defmodule Situ.Bridge.Net.SendQueue do
   def new, do: :atomics.new(1, [])
 
   @doc "Returns the socket options of a connection."
-  def socket_options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
+  def socket_options,
+    do:
+      [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true] ++
+        Situ.TcpKeepalive.options()
 
   @spec put(t(), pid(), iodata(), max :: pos_integer()) :: :ok | :full
   def put(outbox, connection, bytes, max) do

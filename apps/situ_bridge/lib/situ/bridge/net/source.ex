@@ -192,7 +192,10 @@ defmodule Situ.Bridge.Net.Source do
   # A repeated error is logged once, not at every attempt. A partially received message is lost.
   defp schedule_reconnect(state, reason) do
     if state.logged_error != reason and reason != :closed,
-      do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
+      do:
+        Logger.warning(
+          "#{state.opts[:host]}:#{state.opts[:port]}: #{ClientSocket.describe_reason(reason)}"
+        )
 
     KeepAlive.stop(state.keep_alive)
     Process.send_after(self(), :connect, state.wait_ms)

@@ -30,7 +30,8 @@ defmodule Situ.Bridge.Ros.PublisherLink do
            :gen_tcp.connect(
              String.to_charlist(host),
              port,
-             [:binary, active: false, nodelay: true, buffer: ReceiveBuffer.buffer_size()],
+             [:binary, active: false, nodelay: true, buffer: ReceiveBuffer.buffer_size()] ++
+               Situ.TcpKeepalive.options(),
              @timeout_ms
            ),
          {hello, wire} = TcpRos.hello(host, port, header_fields(state)),

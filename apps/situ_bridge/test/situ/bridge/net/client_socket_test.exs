@@ -54,6 +54,17 @@ defmodule Situ.Bridge.Net.ClientSocketTest do
     end)
   end
 
+  test "describes why a connection failed" do
+    for {reason, text} <- [
+          {:econnrefused, "connection refused"},
+          {:etimedout, "the other machine no longer answers"},
+          {{:tls_alert, {:unknown_ca, 'unknown authority'}}, "TLS: unknown authority"},
+          {:unexpected, ":unexpected"},
+          {"a sentence", "a sentence"}
+        ],
+        do: assert(ClientSocket.describe_reason(reason) == text)
+  end
+
   test "connects by address and by name with a custom certificate authority", context do
     for tls <- [[authorities: context.ca], [authorities: context.ca, name: "broker"]] do
       serve(context.listener)

@@ -60,7 +60,8 @@ defmodule Situ.Link.Rendezvous.Member do
 
   @impl true
   def handle_info(:connect, %{socket: nil} = state) do
-    options = [:binary, active: :once, nodelay: true, keepalive: true, send_timeout: 5_000]
+    options =
+      [:binary, active: :once, nodelay: true, send_timeout: 5_000] ++ Situ.TcpKeepalive.options()
 
     case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
       {:ok, socket} ->

@@ -15,21 +15,15 @@ defmodule Situ.Link.Rendezvous.Server do
   @max_bytes 1024 * 1024
   @max_pending 16 * 1024 * 1024
   @check_ms 1_000
-  # Linux: a host is given up after 25 s of silence (TCP_KEEPIDLE, TCP_KEEPINTVL, TCP_KEEPCNT).
-  @keepalive [
-    {:raw, 6, 4, <<10::native-32>>},
-    {:raw, 6, 5, <<5::native-32>>},
-    {:raw, 6, 6, <<3::native-32>>}
-  ]
 
   defstruct [:listener, :deadline, pending: 0, clients: %{}, directory: Directory.new()]
 
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
-    options = [:binary, active: false, reuseaddr: true, nodelay: true, keepalive: true]
+    options = [:binary, active: false, reuseaddr: true, nodelay: true, backlog: 128]
 
     options =
-      options ++ [send_timeout: 1_000, send_timeout_close: true, backlog: 128] ++ @keepalive
+      options ++ [send_timeout: 1_000, send_timeout_close: true] ++ Situ.TcpKeepalive.options()
 
     with {:ok, ip} <- :inet.getaddr(String.to_charlist(opts[:interface]), :inet),
          {:ok, listener} <- :gen_tcp.listen(opts[:port], [ip: ip] ++ options) do

@@ -24,8 +24,6 @@ defmodule Situ.Link.Wire.Socket do
   @certificate_alerts ~w(unknown_ca bad_certificate unsupported_certificate certificate_expired certificate_revoked
     certificate_unknown certificate_required)a
 
-  @internet [nodelay: true, keepalive: true]
-
   @doc "Opens a listener. Errors: `:address_in_use`, `:bad_address`, `:bad_tls`."
   @spec listen(:unix | :tcp | :tls, keyword()) :: {:ok, t()} | {:error, Error.t()}
   def listen(:unix, opts) do
@@ -47,7 +45,7 @@ defmodule Situ.Link.Wire.Socket do
     with {:ok, ip} <- resolve_ip(opts[:interface]),
          options =
            [address_family(ip), ip: ip, reuseaddr: true, backlog: 128] ++
-             @internet ++ @frame_options,
+             internet_options() ++ @frame_options,
          {:ok, listener} <- listen_at(kind, opts, options) do
       {:ok, listener}
     else
@@ -163,9 +161,11 @@ defmodule Situ.Link.Wire.Socket do
   defp connect_to(%{transport: :unix, path: path}, _tls, timeout),
     do: tag_socket(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @frame_options, timeout))
 
+  defp internet_options, do: [nodelay: true] ++ Situ.TcpKeepalive.options()
+
   defp connect_to(%{host: host, port: port} = address, tls, timeout) do
     with {:ok, ip} <- resolve_ip(host) do
-      options = [address_family(ip)] ++ @internet ++ @frame_options
+      options = [address_family(ip)] ++ internet_options() ++ @frame_options
 
       connect_at(
         address.transport,
