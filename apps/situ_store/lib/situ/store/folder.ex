@@ -245,28 +245,62 @@ defmodule Situ.Store.Folder do
       else: newest_version(Path.basename(path), Path.dirname(path))
   end
 
-  @doc "Lists all stores in `root`, sorted by path, including external recordings that are folders."
+  @doc """
+  Lists all stores in `root`, sorted by path, including external recordings that are folders. Symbolic links are
+  followed, but not back to a folder that contains them.
+  """
   @spec list_stores(Path.t(), boolean()) :: [Path.t()]
-  def list_stores(root, recursive?) do
-    case File.ls(root) do
-      {:error, _} ->
-        []
+  def list_stores(root, recursive?), do: list_stores(root, recursive?, identify_folder(root))
 
-      {:ok, names} ->
-        dirs = names |> Enum.sort() |> Enum.map(&Path.join(root, &1)) |> Enum.filter(&File.dir?/1)
-
-        (Formats.list_recordings(root) -- [root]) ++
-          Enum.flat_map(dirs, &stores_in(&1, recursive?))
-    end
+  defp list_stores(root, recursive?, above) do
+    (Formats.list_recordings(root) -- [root]) ++
+      Enum.flat_map(list_folders(root, above), &stores_in(&1, recursive?, above))
   end
 
-  defp stores_in(dir, recursive?) do
+  defp stores_in(dir, recursive?, above) do
     cond do
       unfinished?(dir) -> []
       store_folder?(dir) -> [dir]
       dir in Formats.list_recordings(dir) -> [dir]
-      recursive? -> list_stores(dir, true)
+      recursive? -> list_stores(dir, true, identify_folder(dir) ++ above)
       true -> []
+    end
+  end
+
+  @doc """
+  Lists the files below `root` that open as recordings, by their extensions, sorted by path. JSON files are left out,
+  because few of them are recordings.
+  """
+  @spec list_readable_files(Path.t()) :: [Path.t()]
+  def list_readable_files(root),
+    do: root |> list_readable_files(identify_folder(root)) |> Enum.sort()
+
+  defp list_readable_files(root, above) do
+    files = for name <- list_files(root), path = Path.join(root, name), readable?(path), do: path
+
+    files ++
+      for dir <- list_folders(root, above),
+          not unfinished?(dir) and not store_folder?(dir),
+          file <- list_readable_files(dir, identify_folder(dir) ++ above),
+          do: file
+  end
+
+  defp readable?(path),
+    do: Path.extname(path) != ".json" and Formats.for_file(path) != nil and File.regular?(path)
+
+  # The folders in `root` that are not above it.
+  defp list_folders(root, above) do
+    for name <- root |> list_files() |> Enum.sort(),
+        dir = Path.join(root, name),
+        File.dir?(dir),
+        identify_folder(dir) -- above != [],
+        do: dir
+  end
+
+  defp identify_folder(dir) do
+    case File.stat(dir) do
+      {:ok, %{major_device: device, inode: inode}} -> [{device, inode}]
+      {:error, _} -> []
     end
   end
 

@@ -5,7 +5,10 @@ defmodule Situ.CLI.Store.Info do
   alias Situ.{Store, Time}
   alias Situ.CLI.{Output, Recording}
   alias Situ.CLI.Store.StreamDetails
-  alias Situ.Store.StreamInfo
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Folder, StreamInfo}
+
+  @most_files 50
 
   @doc "Prints the details of one recording, or one line for each of several recordings or those in a folder."
   @spec show_recordings([Path.t()], keyword()) :: 0 | 1
@@ -39,9 +42,35 @@ defmodule Situ.CLI.Store.Info do
     else
       if stores == [], do: Output.puts("No stores in #{Enum.join(paths, ", ")}.")
       Enum.each(opened, &Output.puts(short_line(&1)))
+      paths |> Enum.filter(&File.dir?/1) |> Enum.flat_map(&list_files/1) |> print_files()
     end
 
     if Enum.all?(opened, &match?({_, {:ok, _}}, &1)), do: 0, else: 1
+  end
+
+  defp list_files(path),
+    do: if(recordings_folder?(path), do: Folder.list_readable_files(path), else: [])
+
+  defp print_files([]), do: :ok
+
+  # Opening a large file can take minutes, so only its kind and size are printed.
+  defp print_files(files) do
+    count = Output.format_count(length(files), "file")
+    Output.puts("#{count} that Situ can open (`situ store info FILE`, `situ studio FILE`):")
+
+    for path <- Enum.take(files, @most_files), {:ok, %{size: size}} <- [File.stat(path)] do
+      Output.puts("  #{path}  #{kind_title(path)}, #{Output.format_bytes(size)}")
+    end
+
+    rest = length(files) - @most_files
+    if rest > 0, do: Output.puts("  ... and #{rest} more")
+    :ok
+  end
+
+  defp kind_title(path) do
+    extension = path |> Path.extname() |> String.downcase()
+    kind = Enum.find(Formats.list_kinds(), &(&1.open != nil and extension in &1.extensions))
+    if kind, do: kind.title, else: extension
   end
 
   defp entry_json({_path, {:ok, store}}), do: store_json(store)

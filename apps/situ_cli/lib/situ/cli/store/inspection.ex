@@ -20,10 +20,10 @@ defmodule Situ.CLI.Store.Inspection do
         aliases: ["list", "ls"],
         summary: "list the streams of a recording: types, rates, gaps, sizes, latency",
         about: """
-        Several recordings, or a folder of recordings, are listed one per line. Gaps are measured between chunks of the
-        file; `situ store stats` measures every message. --json prints a list of recordings, even for a single one;
-        with --stream it prints that stream. A recording in segments (ROOT/NAME) is one recording, over restarts of its
-        recorder; --segments lists its segments.
+        Several recordings, or a folder of recordings, are listed one per line, and then the other files in the folder
+        that Situ can open. Gaps are measured between chunks of the file; `situ store stats` measures every message.
+        --json prints a list of recordings, even for a single one; with --stream it prints that stream. A recording in
+        segments (ROOT/NAME) is one recording, over restarts of its recorder; --segments lists its segments.
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
         options: [

@@ -18,6 +18,28 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
              Situ.JSON.decode(said)
   end
 
+  test "lists the files of a folder after its recordings", %{tmp_dir: root} do
+    File.mkdir_p!(Path.join(root, "drives/monday"))
+    File.cp!(@drive, Path.join(root, "drives/monday/one.MCAP"))
+    File.write!(Path.join(root, "notes.txt"), "nothing to see")
+    File.write!(Path.join(root, "data.json"), "{}")
+    # A link back to the folder, which lists nothing twice.
+    File.ln_s!(root, Path.join(root, "drives/again"))
+    File.ln_s!(root, Path.join(root, "drives/and_again"))
+    assert {0, said} = situ(["info", root])
+    assert said =~ "No stores in #{root}."
+    assert said =~ "1 file that Situ can open"
+    assert said =~ ~r{drives/monday/one\.MCAP  MCAP, 62\.\d kB\n\z}
+
+    store = Path.join(root, "copy.0000")
+    assert {0, _} = situ(["copy", Path.join(root, "drives/monday/one.MCAP"), store, "--quiet"])
+    assert {0, said} = situ(["info", root])
+    assert length(String.split(said, "copy.0000")) == 2
+    assert said =~ "copy.0000  8 streams" and said =~ "1 file that Situ can open"
+    assert {0, said} = situ(["info", root, "--json"])
+    assert {:ok, [%{"streams" => _}]} = Situ.JSON.decode(said)
+  end
+
   test "reports a truncated or altered file as damaged, and how to recover it", %{
     tmp_dir: root
   } do
