@@ -30,6 +30,7 @@ defmodule Situ.Bridge.File do
   ]
 
   use Situ.Component, inputs: [in: :any]
+  require Logger
 
   @chunk_bytes 65_536
 
@@ -171,6 +172,7 @@ defmodule Situ.Bridge.File do
   @impl true
   def handle_message(:in, message, _context, state) do
     {record, position} = encode_record(state, message)
+    if state.position == 0 and state.format == :csv, do: warn_of_omitted(message.data, state.path)
     append_bytes(state, record)
     {[], %{state | position: position}}
   end
@@ -179,6 +181,19 @@ defmodule Situ.Bridge.File do
     Format.encode_record(state.module, message.data, message.originating_time, state.position)
   catch
     {:not_writable, what} -> raise Format.not_writable_error(state.format, what)
+  end
+
+  defp warn_of_omitted(value, path) do
+    case Format.Csv.list_omitted(value) do
+      [] ->
+        :ok
+
+      names ->
+        Logger.warning(
+          "#{path} has no columns for the lists #{Enum.join(names, ", ")}: CSV of a stream omits them. " <>
+            "Write JSON lines, or save a recording with `situ store save`."
+        )
+    end
   end
 
   @impl true

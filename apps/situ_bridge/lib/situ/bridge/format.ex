@@ -21,7 +21,10 @@ defmodule Situ.Bridge.Format do
       {:ok, {0, %{"x" => 1.5}}}
 
   A CSV file has one heading, made from its first message. Members that a later message lacks become empty fields;
-  members that the heading lacks are an error.
+  members that the heading lacks are an error. Lists within an object have no columns. `situ store save` writes them,
+  because it reads all messages before it writes the heading.
+
+  JSON and CSV contain bytes that are not text, such as JPEG data, as base64.
 
   Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of
   their fields) and `{[{key, value}]}`, an object with ordered members. Reading returns maps with string keys and

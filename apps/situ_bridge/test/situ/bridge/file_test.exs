@@ -38,6 +38,23 @@ defmodule Situ.Bridge.FileTest do
     end
   end
 
+  test "says once which lists a CSV file omits", %{tmp_dir: dir} do
+    path = Path.join(dir, "walk.csv")
+
+    log =
+      ExUnit.CaptureLog.capture_log(fn ->
+        {:ok, _} =
+          Situ.Pipeline.run(fn p ->
+            p
+            |> Situ.from_enumerable([{1, %{n: 1, at: {0.5, 1.5}}}, {2, %{n: 2, at: {0.5, 1.5}}}])
+            |> Files.write(path, format: :csv)
+          end)
+      end)
+
+    assert length(String.split(log, "no columns for the lists at")) == 2
+    assert File.read!(path) =~ "_OriginatingTime_,n\r\n"
+  end
+
   test "reports errors with their position", %{tmp_dir: dir} do
     path = Path.join(dir, "bad.csv")
     File.write!(path, "_OriginatingTime_,_Value_\r\n1971-11-03T00:00:00Z,1\r\nyesterday,2\r\n")

@@ -7,6 +7,7 @@ defmodule Situ.Bridge.FormatTest do
   doctest Format
   doctest TimeFormat
   doctest Format.Value
+  doctest Csv
   doctest Csv.Number
 
   # 1971-11-03T00:00:00.1234567Z

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Format.Csv do
   @moduledoc false
-  # Encodes messages as records of comma-separated fields (RFC 4180) with a heading.
+  # Encodes messages as records of comma-separated fields (RFC 4180) with a heading. Lists within an object have no
+  # columns, as in \psi; `Situ.Bridge.Format.Csv.Table` writes them.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.{TimeFormat, Value}
   alias Situ.Bridge.Format.Csv.Number
@@ -76,11 +77,31 @@ defmodule Situ.Bridge.Format.Csv do
   defp flatten_member({_key, list}) when is_list(list), do: []
   defp flatten_member(pair), do: [pair]
 
-  defp format_field(nil), do: ""
-  defp format_field(true), do: "True"
-  defp format_field(false), do: "False"
-  defp format_field(text) when is_binary(text), do: text
-  defp format_field(number), do: Number.encode_number(number)
+  @doc """
+  Returns the names of the lists in a value for which a record has no columns.
+
+      iex> Situ.Bridge.Format.Csv.list_omitted(%{name: "a", place: %{position: {1.0, 2.0}}})
+      ["position"]
+  """
+  @spec list_omitted(term()) :: [String.t()]
+  def list_omitted(value) do
+    case prepare_value(value) do
+      {pairs} when is_list(pairs) -> Enum.flat_map(pairs, &omitted_names/1)
+      _ -> []
+    end
+  end
+
+  defp omitted_names({_key, {pairs}}), do: Enum.flat_map(pairs, &omitted_names/1)
+  defp omitted_names({key, [_ | _]}), do: [key]
+  defp omitted_names(_pair), do: []
+
+  @doc "Encodes one field, without quotation marks."
+  @spec format_field(nil | boolean() | number() | String.t() | atom()) :: String.t()
+  def format_field(nil), do: ""
+  def format_field(true), do: "True"
+  def format_field(false), do: "False"
+  def format_field(text) when is_binary(text), do: text
+  def format_field(number), do: Number.encode_number(number)
 
   @impl true
   def decode(bytes, opts) do

@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Format.MessagePack do
 
   defp convert_value(value) when value in [:nan, :infinity, :neg_infinity], do: value
   defp convert_value(list) when is_list(list), do: Enum.map(list, &convert_value/1)
-  defp convert_value(%_{} = struct), do: Value.to_plain(struct)
+  defp convert_value(%_{} = struct), do: Value.to_plain(struct, :keep_bytes)
 
   defp convert_value(map) when is_map(map),
     do: Map.new(map, fn {k, v} -> {k, convert_value(v)} end)

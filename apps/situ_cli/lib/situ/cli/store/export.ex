@@ -2,9 +2,9 @@ defmodule Situ.CLI.Store.Export do
   @moduledoc false
   # `situ store save`: writes messages to files that other programs can read.
   @behaviour Situ.CLI.Verb
-  alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, RawMessages, Ros}
+  alias Situ.Bridge.{Arrow, Mcap, Parquet, RawMessages, Ros}
   alias Situ.CLI.{FileKinds, Option, Output, Progress, Recording, UnfinishedOutput, Verb}
-  alias Situ.CLI.Store.{Arguments, OutputFile, Protobuf}
+  alias Situ.CLI.Store.{Arguments, OutputFile, Protobuf, Records}
   alias Situ.{Error, Store}
 
   # Files of these formats contain complete recordings.
@@ -183,21 +183,9 @@ defmodule Situ.CLI.Store.Export do
     [] = carried_options(format, opts)
     unless compression_option(format, opts[:compression]) == [], do: reject_compression(format)
     info = single_stream!(store, infos)
-    out = OutputFile.open_output(file)
-
-    state =
-      store
-      |> Store.columns(info, read_options(opts))
-      |> Enum.reduce(0, fn part, state ->
-        {records, state} = encode_records(format, part, state, out)
-        OutputFile.write_bytes(out, records)
-        progress.(Format.record_count(state), info.count)
-        state
-      end)
-
-    OutputFile.write_bytes(out, Format.fetch_module!(format).finish(state))
-    OutputFile.close_output(out)
-    %{messages: Format.record_count(state), stream: info.name}
+    parts = Store.columns(store, info, read_options(opts))
+    count = Records.save_parts(format, parts, file, &progress.(&1, info.count))
+    %{messages: count, stream: info.name}
   end
 
   defp copy_raw(format, store, infos, file, opts, progress) do
@@ -308,15 +296,6 @@ defmodule Situ.CLI.Store.Export do
   end
 
   defp metadata_records(opts), do: Arguments.parse_records!(opts[:metadata] || [])
-
-  # A record that cannot be encoded stops the export, and the incomplete file is deleted.
-  defp encode_records(format, part, state, out) do
-    Format.encode_records(format, part, state)
-  rescue
-    error in Error ->
-      OutputFile.discard_output(out)
-      reraise error, __STACKTRACE__
-  end
 
   defp known_extensions,
     do: FileKinds.list_exports() |> Enum.flat_map(& &1.export) |> Enum.sort() |> Enum.join(", ")

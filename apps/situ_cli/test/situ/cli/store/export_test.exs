@@ -38,6 +38,26 @@ defmodule Situ.CLI.Store.ExportTest do
     end
   end
 
+  test "saves every value of structured messages as CSV", %{tmp_dir: root} do
+    drive = Path.expand("../../../../../situ_bridge/test/data/ros1_imu_gps_cam.mcap", __DIR__)
+    file = Path.join(root, "imu.csv")
+    assert Situ.CLI.run(["store", "convert", drive, file, "-s", "/imu/data_raw", "--quiet"]) == 0
+    {:ok, table} = Store.open(file)
+    {:ok, store} = Store.open(drive)
+    {:ok, messages} = Store.read(store, "/imu/data_raw", limit: 1_000)
+    {:ok, turns} = Store.read(table, "angular_velocity[2]", limit: 1_000)
+
+    expected = for m <- messages, do: {m.originating_time, elem(m.data.angular_velocity, 2)}
+
+    assert Enum.map(turns, &{&1.originating_time, &1.data}) == expected
+
+    picture = Path.join(root, "camera.jsonl")
+    camera = ["-s", "/camera/image/compressed", "--quiet"]
+    assert Situ.CLI.run(["store", "convert", drive, picture | camera]) == 0
+    [{_time, %{"data" => jpeg}} | _] = Enum.to_list(Bridge.File.messages(picture, :json_lines))
+    assert <<0xFF, 0xD8, _::binary>> = Base.decode64!(jpeg)
+  end
+
   test "reports an unclear stream, format or target", %{
     path: path,
     tmp_dir: root
