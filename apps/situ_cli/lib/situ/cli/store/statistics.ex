@@ -2,9 +2,11 @@ defmodule Situ.CLI.Store.Statistics do
   @moduledoc false
   # Measures the timing of a stream's messages, in one pass over the envelopes and in constant memory. Percentiles come
   # from buckets that are 1 % wide, so they are accurate to half a percent.
+  alias Situ.CLI.Store.StreamDetails
   alias Situ.Store
 
   @width :math.log(1.01)
+  @no_latency %{latency_mean: nil, latency_p50: nil, latency_p95: nil, latency_p99: nil}
 
   defstruct count: 0,
             last: nil,
@@ -23,7 +25,11 @@ defmodule Situ.CLI.Store.Statistics do
   def measure_stream(store, info, gap) do
     gap = gap || default_gap(info)
     messages = Store.messages(store, info, envelopes: true, skip_damage: true)
-    messages |> Enum.reduce(%__MODULE__{}, &add_message(&1, &2, gap)) |> summarize(info, gap)
+    stats = Enum.reduce(messages, %__MODULE__{}, &add_message(&1, &2, gap))
+
+    known? = StreamDetails.latency_known?(store, info) or Map.keys(stats.latencies) != [{0, 0}]
+    summary = summarize(stats, info, gap)
+    if known?, do: summary, else: Map.merge(summary, @no_latency)
   end
 
   # Returns ten times the average period, and at least 100 ms.

@@ -88,6 +88,11 @@ defmodule Situ.CLI.Store.StreamDetails do
   defp value_known?(_foreign, %{count: 0}, _value), do: true
   defp value_known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
+  @doc "Returns whether the messages have times of creation. Most files of other programs have only one time."
+  @spec latency_known?(Store.t(), StreamInfo.t()) :: boolean()
+  def latency_known?(store, info),
+    do: value_known?(store, info, StreamInfo.average_latency(info))
+
   @doc "Formats a size, or returns `-` if the format does not report it."
   @spec format_bytes(Store.t(), StreamInfo.t(), number() | nil) :: String.t()
   def format_bytes(store, info, size) do
@@ -160,7 +165,7 @@ defmodule Situ.CLI.Store.StreamDetails do
     average = StreamInfo.average_latency(info)
 
     cond do
-      average == nil or not value_known?(store, info, average) -> "-"
+      average == nil or not latency_known?(store, info) -> "-"
       average < 0 -> @not_real
       true -> Time.format_duration(round(average))
     end

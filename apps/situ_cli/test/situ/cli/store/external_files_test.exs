@@ -18,6 +18,14 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
              Situ.JSON.decode(said)
   end
 
+  test "reports no latencies of files with one time per message" do
+    bag = Path.rootname(@drive) <> ".bag"
+    assert {0, said} = situ(["stats", bag, "--stream", "/chatter"])
+    assert said =~ ~r{/chatter  .* -    -    -\n}
+    assert {0, said} = situ(["stats", bag, "--stream", "/chatter", "--json"])
+    assert {:ok, [%{"latency_p50" => nil, "latency_mean" => nil}]} = Situ.JSON.decode(said)
+  end
+
   test "lists the files of a folder after its recordings", %{tmp_dir: root} do
     File.mkdir_p!(Path.join(root, "drives/monday"))
     File.cp!(@drive, Path.join(root, "drives/monday/one.MCAP"))
