@@ -39,6 +39,13 @@ defmodule Situ.DatasetTest do
     assert Enum.map(Dataset.select_sessions(moved, name: "?2"), & &1.name) == ["p2"]
   end
 
+  test "states the size of a file whose format does not state sizes", %{tmp_dir: root} do
+    path = Path.join(root, "walk.csv")
+    File.write!(path, "time,x\n0,1\n1,2\n")
+    {:ok, store} = Situ.Store.open(path)
+    assert %{size: 15, messages: 2} = Situ.Dataset.Summary.from_store(store)
+  end
+
   test "summarizes intervals by coverage, and sizes and counts by sum", %{tmp_dir: root} do
     dataset = dataset(root, 2)
     summary = Dataset.summary(dataset)

@@ -8,7 +8,7 @@ defmodule Situ.Dataset.Summary do
       no messages
     * `streams_open`: the span from the first opening of a stream to the last close of a stream (ns; \\psi calls it the
       stream interval)
-    * `size`: payload bytes; `streams`, `messages`: counts
+    * `size`: bytes of the messages, or of the file if its format does not state them; `streams`, `messages`: counts
     * `unknown`: number of partitions that could not be read and are not included
   """
   alias Situ.{Interval, Store}
@@ -41,10 +41,25 @@ defmodule Situ.Dataset.Summary do
       creation: to_interval(time_extent(streams, & &1.first_creation, & &1.last_creation)),
       streams_open:
         to_interval(time_extent(streams, &(&1.opened || &1.first), &(&1.closed || &1.last))),
-      size: streams |> Enum.map(& &1.size) |> Enum.sum(),
+      size: total_size(store, streams),
       streams: length(streams),
       messages: streams |> Enum.map(& &1.count) |> Enum.sum()
     }
+  end
+
+  # Most formats of other programs do not state the sizes of messages.
+  defp total_size(store, streams) do
+    case streams |> Enum.map(& &1.size) |> Enum.sum() do
+      0 -> if Enum.any?(streams, &(&1.count > 0)), do: file_size(store.path), else: 0
+      size -> size
+    end
+  end
+
+  defp file_size(path) do
+    case File.stat(path) do
+      {:ok, %{type: :regular, size: size}} -> size
+      _folder_or_address -> 0
+    end
   end
 
   @doc "Returns the summary of a recording that cannot be read."
