@@ -139,7 +139,10 @@ defmodule Situ.CLI.Store.Export do
        when is_map_key(@tables, format) do
     [] = carried_options(format, opts)
     refuse_stdout!(file, format)
-    info = if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, infos)
+    join = "; or join several into one table with --on STREAM, whose times are the rows"
+
+    info =
+      if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, infos, join)
 
     written =
       [progress: &progress.(&1, info.count)] ++ compression_option(format, opts[:compression])
@@ -331,13 +334,14 @@ defmodule Situ.CLI.Store.Export do
 
   defp refuse_stdout!(_file, _format), do: :ok
 
-  defp single_stream!(_store, [one]), do: one
+  defp single_stream!(store, infos, alternative \\ "")
+  defp single_stream!(_store, [one], _alternative), do: one
 
-  defp single_stream!(store, several) do
+  defp single_stream!(store, several, alternative) do
     names = several |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
 
     raise Error.new(:ambiguous_stream, "#{store.path} has #{length(several)} streams",
-            fix: "choose one with --stream: #{names}"
+            fix: "choose one with --stream: #{names}#{alternative}"
           )
   end
 end
