@@ -139,7 +139,10 @@ defmodule Situ.CLI.Store.Export do
        when is_map_key(@tables, format) do
     [] = carried_options(format, opts)
     refuse_stdout!(file, format)
-    join = "; or join several into one table with --on STREAM, whose times are the rows"
+
+    join =
+      "; or join several into one table, with a row for each message of one of them: " <>
+        "`situ store save #{store.path} #{file} --on STREAM`"
 
     info =
       if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, infos, join)
