@@ -110,7 +110,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
     encode_packet(kind, flags, <<id::16>>)
   end
 
-  @doc "Encodes a ping, which the broker answers."
+  @doc "Encodes a ping; the broker replies to it."
   @spec encode_ping() :: iodata()
   def encode_ping, do: encode_packet(12, 0, "")
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Net.KeepAlive do
   @moduledoc false
   # Notices that a peer is gone although its connection was never closed: its machine lost power, or a router between
-  # them forgot the connection. A process of its own sends a ping every interval, also while the owner of the connection
+  # them forgot the connection. A separate process sends a ping every interval, also while the owner of the connection
   # is busy, because peers disconnect silent clients. The owner checks after one and a half intervals whether any bytes
   # have arrived. A busy owner reads nothing, but checks nothing either.
   alias Situ.Bridge.Net.ClientSocket

@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Net.Protocol do
               | {:error, String.t()}
               | {:reconnect, why :: term(), state()}
 
-  @doc "Returns the interval between two pings, ms (0: none), and a ping that the server answers. Default: none."
+  @doc "Returns the interval between two pings, ms (0: none), and a ping to which the server replies. Default: none."
   @callback keep_alive(state()) :: {interval_ms :: non_neg_integer(), ping :: iodata()}
   @doc "Returns the minimum number of bytes that `read/3` needs to return a payload, or 1 if that is unknown."
   @callback missing_bytes(state()) :: pos_integer()

@@ -48,7 +48,7 @@ defmodule Situ.Bridge.Format.Csv.Table do
 
   defp title_columns(:plain), do: :plain
 
-  # A member is named without the object that contains it, unless there is another one of this name.
+  # A member is named without the object that contains it, unless two members have the same name.
   defp title_columns(paths) do
     names = Enum.frequencies_by(paths, &List.last/1)
 
