@@ -2,6 +2,7 @@ defmodule Situ.Studio.TableExport do
   @moduledoc false
   # Exports messages from a selection: tables as CSV (RFC 4180) or Parquet, and audio as a WAV
   # file.
+  alias Situ.Bridge.Format.Value
   alias Situ.Studio.{AudioSamples, StreamReader}
 
   # Messages are read in pages, so that memory use does not depend on the length of the selection.
@@ -76,8 +77,8 @@ defmodule Situ.Studio.TableExport do
     do: messages |> Enum.map(&csv_row(stream, &1)) |> IO.iodata_to_binary()
 
   @doc """
-  Encodes one CSV row: ns time, date, stream, value. Structured values become JSON, binaries their
-  size.
+  Encodes one CSV row: ns time, date, stream, value. Structured values become JSON (with bytes as base64), binaries
+  their size.
 
       iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
       iex> Situ.Studio.TableExport.csv_row("Speech", message)
@@ -97,11 +98,13 @@ defmodule Situ.Studio.TableExport do
   defp format_value(data) when is_binary(data),
     do: if(String.valid?(data), do: data, else: format_size(data))
 
+  # Images, audio and similar values have no JSON form.
+  defp format_value(data) when is_struct(data), do: inspect(data, limit: 20, printable_limit: 200)
+
   defp format_value(data) do
-    Situ.JSON.encode(data)
-  rescue
-    # Images, audio and similar values have no JSON form.
-    _ -> inspect(data, limit: 20, printable_limit: 200)
+    data |> Value.to_plain() |> Situ.JSON.encode()
+  catch
+    {:not_writable, _} -> inspect(data, limit: 20, printable_limit: 200)
   end
 
   defp format_size(data), do: "#{byte_size(data)} bytes"

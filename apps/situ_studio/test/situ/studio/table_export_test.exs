@@ -43,6 +43,10 @@ defmodule Situ.Studio.TableExportTest do
     assert row.(nil) =~ "S,\r\n"
     assert row.(%{a: [1]}) =~ ~s("{""a"":[1]}")
     assert row.(<<255, 0>>) =~ "2 bytes"
+
+    assert row.(%{"jpeg" => <<255, 216>>, "at" => {1, 2}}) =~
+             ~s("{""at"":[1,2],""jpeg"":""/9g=""}")
+
     assert row.(self()) =~ "PID"
   end
 
