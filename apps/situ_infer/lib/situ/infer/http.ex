@@ -161,7 +161,9 @@ defmodule Situ.Infer.Http do
 
   defp connect_socket(url, opts, until) do
     wait = min(opts[:connect_timeout], remaining_ms(until))
-    plain = [:binary, active: false, packet: :raw, send_timeout: opts[:idle_timeout]]
+    # By default, each read takes at most 1,460 bytes.
+    plain = [:binary, active: false, packet: :raw, buffer: 65_536]
+    plain = [send_timeout: opts[:idle_timeout]] ++ plain
     host = String.to_charlist(url.host)
 
     case url.scheme do

@@ -22,9 +22,11 @@ defmodule Situ.Link.Nats.Dialer do
   def connect({host, port} = server, opts) do
     state = %{server: server, opts: opts, transport: nil, socket: nil}
 
+    # By default, each read takes at most 1,460 bytes.
     options = [
       :binary,
       active: false,
+      buffer: 65_536,
       nodelay: true,
       keepalive: true,
       send_timeout: 5_000,

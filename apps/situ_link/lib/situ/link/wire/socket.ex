@@ -20,6 +20,8 @@ defmodule Situ.Link.Wire.Socket do
     send_timeout: @send_timeout,
     send_timeout_close: true
   ]
+  # Reading several TLS records at once takes a third of the CPU time. By default, each read takes about a tenth of one.
+  @tls_options [buffer: 65_536]
   # TLS alerts caused by a rejected certificate (a wrong hostname causes `handshake_failure` instead).
   @certificate_alerts ~w(unknown_ca bad_certificate unsupported_certificate certificate_expired certificate_revoked
     certificate_unknown certificate_required)a
@@ -57,7 +59,7 @@ defmodule Situ.Link.Wire.Socket do
     do: tag_socket(:gen_tcp, :gen_tcp.listen(opts[:port], options))
 
   defp listen_at(:tls, opts, options),
-    do: tag_socket(:ssl, :ssl.listen(opts[:port], options ++ opts[:tls]))
+    do: tag_socket(:ssl, :ssl.listen(opts[:port], options ++ @tls_options ++ opts[:tls]))
 
   defp tag_socket(module, {:ok, socket}), do: {:ok, {module, socket}}
   defp tag_socket(_module, error), do: error
@@ -184,7 +186,8 @@ defmodule Situ.Link.Wire.Socket do
   # The certificate must name the requested host, not its resolved address.
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
     name = ServerName.tls_options(host)
-    tag_socket(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
+    options = options ++ @tls_options ++ Keyword.merge(name, tls)
+    tag_socket(:ssl, :ssl.connect(ip, port, options, timeout))
   end
 
   # By default a server is verified by the system's certificate authorities or, if given, by its fingerprint alone.
