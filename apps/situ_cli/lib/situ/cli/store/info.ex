@@ -242,7 +242,7 @@ defmodule Situ.CLI.Store.Info do
   defp stream_row(store, info) do
     [
       info.name <> if(info.large?, do: "*", else: ""),
-      info.type_name,
+      StreamDetails.format_type(info),
       Integer.to_string(info.count),
       StreamDetails.format_rate(info),
       StreamDetails.format_bytes(store, info, info.stored),

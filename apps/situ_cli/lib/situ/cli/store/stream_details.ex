@@ -27,7 +27,7 @@ defmodule Situ.CLI.Store.StreamDetails do
 
   defp detail_rows(store, info) do
     [
-      {"type", info.type_name <> field_list(info)},
+      {"type", format_type(info) <> field_list(info)},
       {"metadata", metadata_text(store, info)},
       {"opened", format_time(info.opened)},
       {"closed", closed_text(info)},
@@ -145,6 +145,16 @@ defmodule Situ.CLI.Store.StreamDetails do
       {:error, error} -> %{type: type, damage: error.why}
     end
   end
+
+  @doc "Formats the type of a stream. Several possible types are joined by \"or\"."
+  @spec format_type(StreamInfo.t()) :: String.t()
+  def format_type(%{type: {:or, types}} = info) do
+    if info.type_name == inspect(info.type),
+      do: Enum.map_join(types, " or ", &inspect/1),
+      else: info.type_name
+  end
+
+  def format_type(info), do: info.type_name
 
   @doc "Formats the number of messages per second."
   @spec format_rate(StreamInfo.t()) :: String.t()
