@@ -8,16 +8,35 @@ defmodule Situ.CLI.Input do
   @spec read_all() :: binary()
   def read_all, do: stream_chunks() |> Enum.to_list() |> IO.iodata_to_binary()
 
-  @doc "Calls `work` with a temporary file that holds all of standard input, and that it may read more than once."
-  @spec with_spooled_file((Path.t() -> result)) :: result when result: term()
-  def with_spooled_file(work) do
+  @doc """
+  Calls `work` with a temporary file of this name that holds all of standard input, and that it may read more than once.
+  Errors say "standard input" instead of its path.
+  """
+  @spec with_spooled_file(String.t(), (Path.t() -> result)) :: result when result: term()
+  def with_spooled_file(name, work) do
     Situ.TempFolder.with_folder("input", fn folder ->
-      path = Path.join(folder, "input")
+      path = Path.join(folder, name)
       {:ok, file} = :file.open(path, [:write, :raw, :binary, :exclusive])
       Enum.each(stream_chunks(), &(:ok = :file.write(file, &1)))
       :ok = :file.close(file)
-      work.(path)
+      work_on(path, work)
     end)
+  end
+
+  defp work_on(path, work) do
+    work.(path)
+  rescue
+    error in Situ.Error ->
+      rename = &(&1 && String.replace(&1, path, "standard input"))
+
+      renamed = %{
+        error
+        | what: rename.(error.what),
+          why: rename.(error.why),
+          fix: rename.(error.fix)
+      }
+
+      reraise renamed, __STACKTRACE__
   end
 
   # Reads bytes as Latin-1, because as UTF-8 they would have to be valid text.

@@ -13,8 +13,10 @@ defmodule Situ.Store.Copying do
   alias Situ.Store.{
     Draft,
     NativeErrors,
+    NativeFormat,
     Folder,
     Query,
+    SegmentedRecording,
     Segments,
     StreamInfo,
     Transfer,
@@ -73,6 +75,7 @@ defmodule Situ.Store.Copying do
   def copy(from, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, store} <- open_source(from, opts[:times]),
+         :ok <- check_damage([store], opts),
          {:ok, sources} <- select_streams(list_sources(store), opts[:streams], store.path),
          :ok <- check_interval(sources, opts) do
       build_store(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
@@ -108,6 +111,7 @@ defmodule Situ.Store.Copying do
   def concat(paths, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, stores} <- open_all(paths, opts[:times]),
+         :ok <- check_damage(stores, opts),
          where = Enum.map_join(stores, ", ", & &1.path),
          {:ok, named} <-
            select_streams(Enum.flat_map(stores, &list_sources/1), opts[:streams], where),
@@ -121,6 +125,31 @@ defmodule Situ.Store.Copying do
          :ok <- check_interval(named, opts) do
       build_store(to, parts, opts)
     end
+  end
+
+  # Reading a damaged chunk of a store is an error. Files of other programs list their damage when they are opened, and
+  # readers omit it.
+  defp check_damage(stores, opts) do
+    damaged =
+      for store <- stores, opts[:skip_damage] == false, [first | more] <- [list_damage(store)] do
+        why = Situ.Recording.describe_damage(first)
+        if more == [], do: why, else: "#{why}; and #{length(more)} more"
+      end
+
+    case damaged do
+      [] -> :ok
+      [why | _] -> {:error, damaged_error(why)}
+    end
+  end
+
+  defp list_damage(%{module: module}) when module in [NativeFormat, SegmentedRecording], do: []
+  defp list_damage(store), do: Query.info(store).damage || []
+
+  defp damaged_error(why) do
+    Error.new(:damaged, "the file is damaged, and nothing was copied",
+      why: why,
+      fix: "pass skip_damage: true (--skip-damage) to copy everything else"
+    )
   end
 
   # An interval without messages is probably a mistake in the times.

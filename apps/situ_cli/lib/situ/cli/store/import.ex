@@ -18,6 +18,16 @@ defmodule Situ.CLI.Store.Import do
     "protobuf" => :protobuf
   }
 
+  @extensions %{
+    arrow: ".arrow",
+    csv: ".csv",
+    json: ".json",
+    json_lines: ".jsonl",
+    message_pack: ".msgpack",
+    parquet: ".parquet",
+    protobuf: ".pb"
+  }
+
   @impl true
   def verbs do
     [
@@ -108,9 +118,22 @@ defmodule Situ.CLI.Store.Import do
   defp import_files(%{path: paths, out: out}, opts) do
     UnfinishedOutput.remove_store_at_exit(out)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
-    paths = Recording.expand_patterns(paths)
-    forced = opts[:format] && @formats[opts[:format]]
-    formats = for path <- paths, do: {path, forced || table_format(path)}
+
+    case Recording.expand_patterns(paths) do
+      ["-"] -> import_input(out, opts)
+      paths -> import_paths(paths, out, opts)
+    end
+  end
+
+  # The name of the file becomes the name of the stream.
+  defp import_input(out, opts) do
+    format = opts[:format] || throw({:usage, "standard input needs a format: give --format"})
+    name = "Imported" <> @extensions[@formats[format]]
+    Input.with_spooled_file(name, &import_paths([&1], out, opts))
+  end
+
+  defp import_paths(paths, out, opts) do
+    formats = for path <- paths, do: {path, table_format(path, @formats[opts[:format]])}
 
     case Enum.split_with(formats, &elem(&1, 1)) do
       {tables, []} ->
@@ -126,8 +149,19 @@ defmodule Situ.CLI.Store.Import do
     end
   end
 
-  defp table_format("-"), do: throw({:usage, "standard input needs a format: give --format"})
-  defp table_format(path), do: if(File.regular?(path), do: TableImport.detect_format(path))
+  defp table_format("-", _format),
+    do: throw({:usage, "standard input cannot be imported together with files"})
+
+  defp table_format(path, nil), do: if(File.regular?(path), do: TableImport.detect_format(path))
+
+  # A CSV file is a table only if it has the heading of Situ's own files.
+  defp table_format(path, :csv) do
+    if String.downcase(Path.extname(path)) in [".csv", ".tsv"],
+      do: TableImport.detect_format(path),
+      else: :csv
+  end
+
+  defp table_format(_path, format), do: format
 
   defp import_tables(tables, out, opts) do
     given? = fn name -> opts[name] not in [nil, false, []] end
@@ -145,11 +179,9 @@ defmodule Situ.CLI.Store.Import do
         _ -> throw({:usage, "--stream names the stream of a single table"})
       end
 
-    named =
-      for {name, path, format} <- named,
-          do: {stream_name(name), path, with_table_options(format, opts)}
+    named = for {name, path, format} <- named, do: {name, path, with_table_options(format, opts)}
 
-    case Progress.with_progress("import", opts, fn _progress -> import_sources(named, out) end) do
+    case Progress.with_progress("import", opts, fn _progress -> import_named(named, out) end) do
       {:ok, path, counts} -> report_import(path, Enum.sum(Map.values(counts)), opts)
       {:error, error} -> raise error
     end
@@ -157,14 +189,6 @@ defmodule Situ.CLI.Store.Import do
 
   defp with_table_options(:protobuf, opts), do: {:protobuf, Protobuf.parse_options(opts)}
   defp with_table_options(format, _opts), do: format
-
-  defp stream_name("-"), do: "Imported"
-  defp stream_name(name), do: name
-
-  defp import_sources([{name, "-", format}], out),
-    do: Input.with_spooled_file(&import_named([{name, &1, format}], out))
-
-  defp import_sources(named, out), do: import_named(named, out)
 
   # Prints a warning about each column that the table cannot keep.
   defp import_named(named, out), do: TableImport.import(named, out, notice: &Output.warn/1)

@@ -18,6 +18,25 @@ defmodule Situ.CLI.Store.ExternalFilesTest do
              Situ.JSON.decode(said)
   end
 
+  test "copies a damaged file only with --skip-damage", %{tmp_dir: root} do
+    csv = Path.join(root, "walk.csv")
+    File.write!(csv, "time,x\n0,1\nnever,2\n1,3\nlater,4\n")
+    bag = Path.join(root, "cut.bag")
+    File.write!(bag, binary_part(File.read!(Path.rootname(@drive) <> ".bag"), 0, 60_000))
+
+    for {path, why} <- [{csv, ~s("never" is not a valid time; and 1 more)}, {bag, "cut short"}],
+        verb <- ["import", "copy"] do
+      out = Path.join(root, "out")
+      said = failed([verb, path, out, "--quiet"])
+      assert said =~ why and said =~ "--skip-damage"
+      assert Path.wildcard(out <> "*") == []
+    end
+
+    out = Path.join(root, "kept")
+    assert {0, _} = situ(["import", csv, out, "--quiet", "--skip-damage"])
+    assert {:ok, [%{data: 1}, %{data: 3}]} = Situ.Store.read(Situ.Store.open!(out), "x", limit: 9)
+  end
+
   test "reports no latencies of files with one time per message" do
     bag = Path.rootname(@drive) <> ".bag"
     assert {0, said} = situ(["stats", bag, "--stream", "/chatter"])
