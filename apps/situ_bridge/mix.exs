@@ -5,7 +5,7 @@ defmodule Situ.Bridge.MixProject do
 
   def project do
     Situ.MixApp.project(:situ_bridge,
-      native: [crates: ~w(situ_bridge_nif)],
+      native: [crates: ~w(situ_bridge_nif), binaries: ~w(situ_parquet)],
       deps: [:situ, :situ_store, :situ_types]
     )
   end

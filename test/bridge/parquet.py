@@ -21,6 +21,11 @@ assert arrow.equals(read), arrow
 for compression in ("uncompressed", "lz4", "zstd"):
     read.write_ipc(f"{folder}/theirs-{compression}.arrow", compression=compression)
     read.write_ipc_stream(f"{folder}/theirs-{compression}.arrows", compression=compression)
-for compression in ("uncompressed", "snappy", "gzip", "zstd"):
+nested = polars.read_parquet(f"{folder}/nested.parquet")
+assert nested["p"].to_list() == [{"x": n / 4} for n in range(1, 1_001)]
+assert nested["l"].to_list() == [[] if n % 3 == 0 else [n, None] for n in range(1, 1_001)]
+assert duckdb.sql(f"select sum(p.x), sum(len(l)) from '{folder}/nested.parquet'").fetchall() == [(125_125.0, 1_334)]
+for compression in ("uncompressed", "snappy", "gzip", "zstd", "lz4", "brotli"):
     read.write_parquet(f"{folder}/theirs-polars-{compression}.parquet", compression=compression)
+for compression in ("uncompressed", "snappy", "gzip", "zstd", "lz4_raw", "brotli"):
     duckdb.sql(f"copy (from '{table}') to '{folder}/theirs-duckdb-{compression}.parquet' (format parquet, compression {compression})")

@@ -62,13 +62,19 @@ case System.argv() do
             {n * 1_000, %{n: n, t: text, b: rem(n, 2) == 0, p: %{x: n / 4}}}
           end
 
+        nested =
+          for {t, row} <- rows, do: {t, %{p: row.p, l: if(row.t, do: [row.n, nil], else: [])}}
+
+        p |> Situ.from_enumerable(nested) |> Store.write(store, "Nested")
         p |> Situ.from_enumerable(rows) |> Store.write(store, "Rows")
       end)
 
     store = Store.open!(Path.join(dir, "rows"))
-    {:ok, %{"Rows" => 1_000}} = Parquet.export(store, dir, rows: 300)
+    {:ok, 1_000} = Parquet.write(store, "Nested", Path.join(dir, "nested.parquet"), nested: true)
+    rows = [streams: ["Rows"]]
+    {:ok, %{"Rows" => 1_000}} = Parquet.export(store, dir, [rows: 300] ++ rows)
     {:ok, _} = Parquet.export(store, Path.join(dir, "gz"), compression: :gzip)
-    {:ok, %{"Rows" => 1_000}} = Arrow.export(store, dir, rows: 300)
+    {:ok, %{"Rows" => 1_000}} = Arrow.export(store, dir, [rows: 300] ++ rows)
 
   ["read_tables", own | theirs] ->
     rows = Enum.to_list(Parquet.messages(own))

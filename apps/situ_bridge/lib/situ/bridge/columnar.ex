@@ -2,8 +2,8 @@ defmodule Situ.Bridge.Columnar do
   @moduledoc false
   # The shared part of Parquet and Arrow: writes messages as files of columns, and reads the rows of such files as
   # messages. The format is a writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
-  # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md.
-  alias Situ.Bridge.Columnar.{Column, Join, Reader, Rows}
+  # See docs/adr/0200-parquet-files-are-read-by-a-program.md.
+  alias Situ.Bridge.Columnar.{Column, Join, NestedRows, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Columns
   require Logger
@@ -125,22 +125,32 @@ defmodule Situ.Bridge.Columnar do
   end
 
   defp write_parts(format, parts, path, opts, progress) do
-    columns = parts |> Enum.reduce(%{}, &Rows.merge_part_kinds(&2, &1)) |> Rows.build_columns()
+    rows = if opts[:nested], do: NestedRows, else: Rows
+    columns = parts |> Enum.reduce(%{}, &rows.merge_part_kinds(&2, &1)) |> rows.build_columns()
 
-    with {:ok, writer} <- format.create(path, @times ++ columns, opts[:compression] || :none) do
-      parts
-      |> row_groups(columns, opts[:rows])
-      |> Enum.reduce_while({:ok, writer}, fn {values, rows}, {:ok, writer} ->
-        case format.write(writer, values, rows) do
-          {:ok, writer} ->
-            progress.(writer.rows)
-            {:cont, {:ok, writer}}
+    with {:ok, writer} <- format.create(path, @times ++ columns, opts) do
+      try do
+        parts
+        |> row_groups({rows, columns}, format.max_rows(opts[:rows]))
+        |> Enum.reduce_while({:ok, writer}, &write_group(format, &1, &2, progress))
+      catch
+        kind, reason ->
+          format.abandon(writer)
+          :erlang.raise(kind, reason, __STACKTRACE__)
+      else
+        result -> finish_file(result, format)
+      end
+    end
+  end
 
-          error ->
-            {:halt, {error, writer}}
-        end
-      end)
-      |> finish_file(format)
+  defp write_group(format, {values, rows}, {:ok, writer}, progress) do
+    case format.write(writer, values, rows) do
+      {:ok, writer} ->
+        progress.(writer.rows)
+        {:cont, {:ok, writer}}
+
+      error ->
+        {:halt, {error, writer}}
     end
   end
 
@@ -151,8 +161,8 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  # Returns row groups: the values of each column, and the number of rows. Parts that are already columns of numbers
-  # are passed on directly; other messages are collected until they fill a group.
+  # Returns groups of rows: rows or the values of each column, and the number of rows. Parts that are already columns
+  # of numbers are passed on directly; other messages are collected until they fill a group.
   defp row_groups(parts, columns, max) do
     parts
     |> Stream.concat([:end])
@@ -181,10 +191,10 @@ defmodule Situ.Bridge.Columnar do
 
   defp message_group([], _columns), do: []
 
-  defp message_group(messages, columns),
-    do: [{column_values(messages, columns), length(messages)}]
+  defp message_group(messages, {rows, columns}),
+    do: [{{:rows, rows.build_rows(messages, columns)}, length(messages)}]
 
-  defp number_groups(%{kind: kind} = part, [%{name: "value", kind: kind}], max) do
+  defp number_groups(%{kind: kind} = part, {_rows, [%{name: "value", kind: kind}]}, max) do
     for columns <- Columns.split(part, max) do
       bytes = [columns.times, columns.creation_times, columns.values]
       {for(bytes <- bytes, do: {:bytes, bytes, columns.count}), columns.count}
@@ -192,12 +202,16 @@ defmodule Situ.Bridge.Columnar do
   end
 
   # The kind of the part's numbers differs from the kind of the column.
-  defp number_groups(part, columns, max) do
+  defp number_groups(part, {rows, columns}, max) do
     for part <- Columns.split(part, max) do
       creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
-      {times, values} = part |> Columns.to_pairs() |> Enum.unzip()
-      rows = Enum.zip_with(Enum.map(values, &Rows.row_values(&1, columns)), & &1)
-      {[times, creations | rows], part.count}
+
+      list =
+        Enum.zip_with(Columns.to_pairs(part), creations, fn {time, value}, creation ->
+          [time, creation | rows.row_values(value, columns)]
+        end)
+
+      {{:rows, list}, part.count}
     end
   end
 
@@ -206,13 +220,6 @@ defmodule Situ.Bridge.Columnar do
   defp finish_file({error, writer}, format) do
     format.abandon(writer)
     error
-  end
-
-  # By far the most common case is a single column of plain values.
-  defp column_values(messages, columns) do
-    rows = for m <- messages, do: Rows.row_values(m.data, columns)
-    times = [Enum.map(messages, & &1.originating_time), Enum.map(messages, & &1.creation_time)]
-    times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
   end
 
   @doc "Returns the columns of a file, and the columns that are skipped. Returns the errors of the format."
@@ -227,8 +234,8 @@ defmodule Situ.Bridge.Columnar do
 
   @doc """
   Returns the rows as a lazy enumerable of `{time, value}`, read a few at a time. Raises `Situ.Error`. Takes the
-  options `time:`, `columns:` and `notice:`, a function that receives a sentence about the skipped columns and a
-  sentence about the skipped rows.
+  options `time:`, `columns:`, `from:`, `to:`, and `notice:`, a function that receives a sentence about the skipped
+  columns and a sentence about the skipped rows.
   """
   @spec stream_messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def stream_messages(reader, path, opts) do
@@ -240,21 +247,33 @@ defmodule Situ.Bridge.Columnar do
     if opts[:columns] == nil and table.left_out != [],
       do: notice.("#{path}: skipped the columns #{list_left_out(table)}")
 
-    table.groups
-    |> Stream.flat_map(&reader.stream_rows(table, &1, [time | selected]))
+    range = {opts[:from], opts[:to]}
+    names = Enum.map(selected, & &1.name)
+
+    table
+    |> reader.stream_rows(reader.select_groups(table, time, range), [time | selected])
+    |> filter_times(range)
     |> Stream.transform(
       fn -> {nil, 0} end,
-      &take_row(&1, &2, selected),
+      &take_row(&1, &2, names),
       &report_rows(&1, path, notice),
       fn _state -> :ok end
     )
   end
 
-  defp take_row([time | values], {last, left_out}, selected)
-       when is_integer(time) and (last == nil or time > last),
-       do: {[{time, row_value(selected, values)}], {time, left_out}}
+  defp filter_times(rows, {nil, nil}), do: rows
 
-  defp take_row(_row, {last, left_out}, _selected), do: {[], {last, left_out + 1}}
+  defp filter_times(rows, {from, to}) do
+    Stream.filter(rows, fn [time | _values] ->
+      not is_integer(time) or ((from == nil or time >= from) and (to == nil or time <= to))
+    end)
+  end
+
+  defp take_row([time | values], {last, left_out}, names)
+       when is_integer(time) and (last == nil or time > last),
+       do: {[{time, row_value(names, values)}], {time, left_out}}
+
+  defp take_row(_row, {last, left_out}, _names), do: {[], {last, left_out + 1}}
 
   defp report_rows({_last, left_out} = state, path, notice) do
     why = "they have no time, or it is not later than the time of the previous row"
@@ -318,8 +337,6 @@ defmodule Situ.Bridge.Columnar do
     )
   end
 
-  defp row_value([%{name: "value"}], [value]), do: value
-
-  defp row_value(columns, values),
-    do: columns |> Enum.zip_with(values, &{&1.name, &2}) |> Map.new()
+  defp row_value(["value"], [value]), do: value
+  defp row_value(names, values), do: names |> :lists.zip(values) |> :maps.from_list()
 end

@@ -8,26 +8,33 @@ defmodule Situ.Bridge.Parquet do
 
   Each row is a message. Its columns are `originating_time` and `creation_time` (timestamps in nanoseconds, UTC), and
   `value`, or one column for each member of maps and structs, with nested members named `a.b`. Numbers, booleans,
-  strings and bytes keep their types. Lists, and members whose type varies, are written as JSON. A stream is read
-  twice, because its columns are known only at its end. Images, audio and other types with a codec cannot be written
-  to tables.
+  strings and bytes keep their types. Lists, and members whose type varies, are written as JSON. With `nested: true`,
+  maps, structs and lists become nested columns. A stream is read twice, because its columns are known only at its
+  end. Images, audio and other types with a codec cannot be written to tables.
 
-  Columns of all types can be read, including lists, maps and structs, uncompressed or compressed with Snappy, gzip,
-  zstd or LZ4, in all encodings except the deprecated BIT_PACKED. An unsupported encoding or compression is an error
-  that names it. Decimals become floats, times of day and durations become nanoseconds, and UUIDs become strings. A
-  row is a map of its columns; if its only column is `value`, the row is that value.
+  Columns of all types can be read, including lists, maps and structs, in all encodings and all compressions except
+  LZO. A damaged file, or an unsupported feature such as encryption, is an error that names it. Decimals become floats,
+  times of day and durations become nanoseconds, and UUIDs become strings. A row is a map of its columns; if its only
+  column is `value`, the row is that value.
+
+  A separate program reads and writes the files, so that a hostile file cannot stop the VM.
   """
 
   alias Situ.Bridge.Columnar
   alias Situ.Bridge.Columnar.TableOptions
-  alias Situ.Bridge.Parquet.{File, Writer}
+  alias Situ.Bridge.Parquet.{File, PackedColumns, Writer}
   alias Situ.{Error, Store}
 
   @export [
             compression: [
-              type: {:in, [:none, :gzip]},
-              default: :none,
+              type: {:in, [:zstd, :snappy, :gzip, :none]},
+              default: :zstd,
               doc: "How to compress pages."
+            ],
+            nested: [
+              type: :boolean,
+              default: false,
+              doc: "Whether maps, structs and lists become nested columns."
             ]
           ] ++ TableOptions.export_options("row group")
   @read TableOptions.read_options()
@@ -90,6 +97,37 @@ defmodule Situ.Bridge.Parquet do
     Columnar.write_messages(Writer, parts, path, opts)
   end
 
+  @doc ~S"""
+  Writes columns into a file and returns `{:ok, rows}`, without a term for each value. Columns are pairs of a name and
+  values: `{:time | :integer | :float, bytes}` with 8 bytes for each value, `{:boolean, bytes}` with one byte for each,
+  or `{kind, list}` with one of these kinds, `:text` or `:bytes`, in which `nil` is a missing value. Numbers are
+  little-endian. Options: `compression:` and `rows:` as in `export/3`. Errors: `:not_writable`, `:io`, `:disk_full`.
+
+      iex> path = Path.join(System.tmp_dir!(), "situ-columns-#{System.unique_integer([:positive])}.parquet")
+      iex> x = for x <- [0.5, 1.5], into: <<>>, do: <<x::little-float-64>>
+      iex> Situ.Bridge.Parquet.write_columns([{"x", {:float, x}}, {"name", {:text, ["a", nil]}}], path)
+      {:ok, 2}
+      iex> [%{"x" => {:float, ^x}, "name" => ["a", nil]}] = Enum.to_list(Situ.Bridge.Parquet.columns(path))
+      iex> File.rm!(path)
+      :ok
+  """
+  @spec write_columns([{String.t(), {atom(), binary() | list()}}], Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def write_columns(columns, path, opts \\ []) do
+    opts = Situ.Options.validate!(opts, Keyword.drop(@export, [:streams, :nested]))
+    PackedColumns.write_columns(columns, path, opts)
+  end
+
+  @doc """
+  Returns the columns of a table as a lazy enumerable of maps, each with some rows. Values are packed as in
+  `write_columns/3`, times as `:integer`. Columns with missing values, and columns of other types, are lists. Raises
+  `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
+
+  Options: `columns:`, the names of the columns to read; by default, all of them.
+  """
+  @spec columns(Path.t(), keyword()) :: Enumerable.t()
+  def columns(path, opts \\ []), do: PackedColumns.stream_columns(path, opts[:columns])
+
   @doc """
   Adds a source with the rows of a table; it proposes a replay that starts at the first row. Rows are skipped if they
   have no time, or a time that is not later than the time of the previous row.
@@ -114,11 +152,11 @@ defmodule Situ.Bridge.Parquet do
   def list_columns(path), do: Columnar.list_columns(File, path)
 
   @doc """
-  Returns the rows as a lazy enumerable of `{time, value}`. Memory holds one page of each requested column. Raises
-  `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
+  Returns the rows as a lazy enumerable of `{time, value}`. Memory holds one page of each requested column. Row groups
+  outside of `from:` and `to:` are not read. Raises `Situ.Error`: `:io`, `:not_parquet`, `:no_column`.
 
-  Options: `time:` and `columns:` as in `read/3`; `notice:`, a function that receives a sentence about skipped columns
-  or rows. By default, these sentences are logged as warnings.
+  Options: `time:`, `columns:`, `from:` and `to:` as in `read/3`; `notice:`, a function that receives a
+  sentence about skipped columns or rows. By default, these sentences are logged as warnings.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts \\ []), do: Columnar.stream_messages(File, path, opts)

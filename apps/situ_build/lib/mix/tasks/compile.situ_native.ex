@@ -5,12 +5,12 @@ defmodule Mix.Tasks.Compile.SituNative do
   An app names its crates and lists the compiler first:
 
       compilers: [:situ_native] ++ Mix.compilers(),
-      native: [crates: ~w(situ_store_nif), programs: ~w(situ_speak)]
+      native: [crates: ~w(situ_store_nif), binaries: ~w(situ_parquet), programs: ~w(situ_speak)]
 
   Cargo runs on every compile, with `--locked --release`, in `native/` at the umbrella's root. If nothing has changed,
   this takes about 60 ms. Each library is copied to `priv/native/CRATE.so` by rename, and only if its bytes differ:
-  overwriting a loaded library in place would crash the VM. A program is a separate package in the app's `native/`
-  folder, without dependencies; it is copied to `priv/native/PROGRAM`.
+  overwriting a loaded library in place would crash the VM. Binaries are programs in the same workspace. A program is a
+  separate package in the app's `native/` folder, without dependencies. They are copied to `priv/native/NAME`.
   """
   use Mix.Task.Compiler
 
@@ -20,9 +20,12 @@ defmodule Mix.Tasks.Compile.SituNative do
   def run(_args) do
     native = Mix.Project.config()[:native] || []
 
-    case {native[:crates] || [], native[:programs] || []} do
-      {[], []} -> {:noop, []}
-      {crates, programs} -> build_native(crates, programs, find_workspace(File.cwd!()))
+    case {native[:crates] || [], native[:binaries] || [], native[:programs] || []} do
+      {[], [], []} ->
+        {:noop, []}
+
+      {crates, binaries, programs} ->
+        build_native({crates, binaries}, programs, find_workspace(File.cwd!()))
     end
   end
 
@@ -32,23 +35,24 @@ defmodule Mix.Tasks.Compile.SituNative do
     :ok
   end
 
-  defp build_native(crates, programs, workspace) do
+  defp build_native({crates, binaries}, programs, workspace) do
     cargo = System.find_executable("cargo") || raise_missing()
     own = Enum.map(programs, &{&1, Path.join([File.cwd!(), "native", &1])})
 
     # cargo reads .cargo/config.toml from the current directory, so it runs inside the workspace.
     builds =
-      if(crates == [],
+      if(crates ++ binaries == [],
         do: [],
-        else: [{workspace, Enum.flat_map(crates, &["-p", &1])}]
+        else: [{workspace, Enum.flat_map(crates ++ binaries, &["-p", &1])}]
       ) ++ for {_, folder} <- own, do: {folder, []}
 
     case run_builds(builds, cargo) do
       0 ->
         from = release_folder(workspace)
         libraries = for crate <- crates, do: {Path.join(from, "lib#{crate}.so"), "#{crate}.so"}
+        shared = for name <- binaries, do: {Path.join(from, name), name}
         built = for {name, folder} <- own, do: {Path.join(release_folder(folder), name), name}
-        install_files(libraries ++ built)
+        install_files(libraries ++ shared ++ built)
 
       status ->
         {:error, [build_diagnostic(workspace, status)]}

@@ -165,6 +165,7 @@ defmodule Situ.Build.Signatures do
 
       iex> {_, old} = Situ.Build.Signatures.parse_file("version 1.0.0\\ncommand situ save --format csv|json\\n")
       iex> {_, new} = Situ.Build.Signatures.parse_file("version 1.1.0\\ncommand situ save --format csv|db3|json\\n")
+      iex> new = Enum.map(new, &%{&1 | words: ["situ save", "--format"]})
       iex> Situ.Build.Signatures.compare(old, new, [], {"1.0.0", "1.1.0"})
       []
   """
@@ -180,7 +181,7 @@ defmodule Situ.Build.Signatures do
   end
 
   # The option `--format csv|json` of a command may gain values.
-  defp extends?(%{status: status, words: words} = present, %{status: status, words: words} = old) do
+  defp extends?(%{status: status} = present, %{status: status} = old) do
     {before, old_values} = split_choice(old.text)
     {now, values} = split_choice(present.text)
     old_values != [] and before == now and old_values -- values == []

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
   # Reads an Arrow file: its columns, and the rows of its batches, a few at a time. The streaming format has no
   # footer, so its messages are scanned once when a file is opened.
+  # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md and docs/adr/0201-arrow-stays-in-plain-elixir.md.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{Batch, FlatBuffer, Schema, Values}
   alias Situ.Bridge.Columnar.Input
@@ -156,8 +157,14 @@ defmodule Situ.Bridge.Arrow.File do
   end
 
   @impl true
-  def stream_rows(table, group, columns),
-    do: Input.stream_rows(table.path, @format, &start_rows(group, columns, &1), &next_rows/1)
+  def select_groups(table, _time, _range), do: table.groups
+
+  @impl true
+  def stream_rows(table, groups, columns) do
+    Stream.flat_map(groups, fn group ->
+      Input.stream_rows(table.path, @format, &start_rows(group, columns, &1), &next_rows/1)
+    end)
+  end
 
   defp start_rows({block, dictionaries}, columns, {_size, read}) do
     batch = Batch.start_reading(block, Batch.read_metadata(block, @batch, read), read)

@@ -13,12 +13,15 @@ defmodule Situ.Bridge.Arrow.Writer do
   @type t :: %__MODULE__{}
 
   @impl true
-  def create(path, columns, :none) do
+  def create(path, columns, _opts) do
     head = ["ARROW1", 0, 0, encode_message(1, Schema.encode_columns(columns), 0)]
 
     with {:ok, output} <- Output.create_file(path, head),
          do: {:ok, %__MODULE__{output: output, columns: columns}}
   end
+
+  @impl true
+  def max_rows(rows), do: rows
 
   # A message is 0xFFFFFFFF, the length and the metadata, padded together to a multiple of 8 bytes.
   defp encode_message(kind, header, body) do
@@ -38,6 +41,8 @@ defmodule Situ.Bridge.Arrow.Writer do
   end
 
   @impl true
+  def write(writer, {:rows, list}, rows), do: write(writer, Enum.zip_with(list, & &1), rows)
+
   def write(writer, values, rows) do
     {columns, nodes} =
       writer.columns

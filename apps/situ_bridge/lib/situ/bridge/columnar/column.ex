@@ -7,7 +7,9 @@ defmodule Situ.Bridge.Columnar.Column do
   defstruct [:name, :kind, optional?: true]
 
   @type kind :: :time | :integer | :float | :boolean | :text | :bytes
-  @type t :: %__MODULE__{name: String.t(), kind: kind(), optional?: boolean()}
+  @typedoc "A struct lists its members in the order of their values."
+  @type nested_kind :: kind() | {:list, nested_kind()} | {:struct, [{String.t(), nested_kind()}]}
+  @type t :: %__MODULE__{name: String.t(), kind: nested_kind(), optional?: boolean()}
   @typedoc """
   `nil` is a missing value. `{:bytes, bytes, n}` holds `n` packed numbers (or booleans, one byte each), none missing.
   """

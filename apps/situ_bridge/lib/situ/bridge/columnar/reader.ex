@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Columnar.Reader do
   @moduledoc false
-  # The behaviour of a reader of columnar files: opens a file, and streams the rows of each of its groups.
-  # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md.
+  # The behaviour of a reader of columnar files: opens a file, and streams the rows of its groups.
+  # See docs/adr/0200-parquet-files-are-read-by-a-program.md.
   alias Situ.Error
 
   @type column :: %{required(:name) => String.t(), optional(atom()) => term()}
@@ -20,8 +20,15 @@ defmodule Situ.Bridge.Columnar.Reader do
 
   @callback open(Path.t()) :: {:ok, t()} | {:error, Error.t()}
   @doc """
-  Returns the rows of one group as a lazy enumerable; a row is the list of its columns' values. Memory holds only a
+  Returns the groups that may have rows between two times (`nil` for unlimited) of a column. A format without ranges of
+  its groups returns all of them.
+  """
+  @callback select_groups(t(), column(), {from :: integer() | nil, to :: integer() | nil}) :: [
+              term()
+            ]
+  @doc """
+  Returns the rows of some groups as a lazy enumerable; a row is the list of its columns' values. Memory holds only a
   few rows at a time. Raises `Situ.Error`.
   """
-  @callback stream_rows(t(), group :: term(), [column()]) :: Enumerable.t()
+  @callback stream_rows(t(), groups :: [term()], [column()]) :: Enumerable.t()
 end

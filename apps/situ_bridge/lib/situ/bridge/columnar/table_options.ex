@@ -39,6 +39,16 @@ defmodule Situ.Bridge.Columnar.TableOptions do
         default: nil,
         doc: "The names of the columns to read; by default, all of them."
       ],
+      from: [
+        type: {:optional, :integer},
+        default: nil,
+        doc: "The first time to read, in nanoseconds; by default, the first time of the table."
+      ],
+      to: [
+        type: {:optional, :integer},
+        default: nil,
+        doc: "The last time to read, in nanoseconds; by default, the last time of the table."
+      ],
       type: [type: :any, default: :any, doc: "The type of the stream."],
       name: [type: :string, doc: "The component's name."]
     ]

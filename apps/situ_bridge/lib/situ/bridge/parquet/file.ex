@@ -2,134 +2,114 @@ defmodule Situ.Bridge.Parquet.File do
   @moduledoc false
   # Reads a Parquet file: its columns, and the rows of its row groups, a few at a time.
   @behaviour Situ.Bridge.Columnar.Reader
-  alias Situ.Bridge.Columnar.Input
-  alias Situ.Bridge.Parquet.{Chunk, Thrift, SchemaTree}
+  alias Situ.Bridge.Columnar.ColumnNames
+  alias Situ.Bridge.Parquet.Program
 
-  @format {:not_parquet, "Parquet"}
-  @max_footer 67_108_864
-  @max_chunk 2_147_483_648
-  @slice_rows 1_024
-  @enforce_keys [:path, :rows, :columns, :groups, :times, :left_out, :packed?]
-  defstruct @enforce_keys
+  @enforce_keys [:path, :columns, :groups, :times]
+  defstruct @enforce_keys ++ [left_out: []]
 
+  @type column :: %{name: String.t(), number: non_neg_integer(), time?: boolean()}
+  @typedoc "A group is its number and its number of rows."
+  @type group :: {non_neg_integer(), rows :: integer()}
   @type t :: %__MODULE__{
           path: Path.t(),
-          rows: non_neg_integer(),
-          columns: [SchemaTree.column()],
-          groups: [map()],
+          columns: [column()],
+          groups: [group()],
           times: [String.t()],
-          left_out: [],
-          packed?: boolean()
+          left_out: []
         }
 
   # Reads only the footer. Errors: `:io`, `:not_parquet`.
   @impl true
-  def open(path), do: Input.with_file(path, @format, &read_footer(&1, path))
+  def open(path) do
+    Program.with_program(fn program ->
+      with {:ok, {:ok, columns, groups}} <- Program.call(program, path, open_request(path)),
+           do: {:ok, build_table(path, columns, groups)}
+    end)
+  end
 
-  defp read_footer({size, read}, path) do
-    if size < 12, do: throw_malformed("it is too short")
+  defp open_request(path), do: {:open, Path.expand(path)}
 
-    n =
-      case read.(size - 8, 8) do
-        <<n::little-32, "PAR1">> when n <= @max_footer and n + 12 <= size -> n
-        <<_::32, "PARE">> -> throw_malformed("it is encrypted")
-        _ -> throw_malformed("it does not end in PAR1")
-      end
+  defp build_table(path, columns, groups) do
+    columns =
+      for(
+        {{name, time?}, number} <- Enum.with_index(columns),
+        do: %{name: name, number: number, time?: time?}
+      )
+      |> ColumnNames.number_duplicates()
 
-    {meta, _} = Thrift.decode_struct(read.(size - 8 - n, n))
-
-    with %{2 => [_root | elements], 3 => rows, 4 => groups} when is_list(groups) <- meta do
-      columns = SchemaTree.build_columns(elements)
-
-      %__MODULE__{
-        path: path,
-        rows: rows,
-        columns: columns,
-        groups: groups,
-        packed?: is_binary(meta[6]) and meta[6] =~ ~r/\Aparquet-cpp-arrow version [0-2]\./,
-        left_out: [],
-        times: for(%{time?: true, name: name} <- columns, do: name)
-      }
-    else
-      _ -> throw_malformed("its footer is malformed")
-    end
+    %__MODULE__{
+      path: path,
+      columns: columns,
+      groups: for({rows, number} <- Enum.with_index(groups), do: {number, rows}),
+      times: for(%{time?: true, name: name} <- columns, do: name)
+    }
   end
 
   @impl true
-  def stream_rows(parquet, group, columns) do
-    Input.stream_rows(
-      parquet.path,
-      @format,
-      &start_rows(parquet, group, columns, &1),
-      &next_rows/1
+  def select_groups(%{groups: groups}, _time, {nil, nil}), do: groups
+
+  def select_groups(table, time, range) do
+    Program.with_program(fn program ->
+      Program.call!(program, table.path, open_request(table.path))
+      ranges = Program.call!(program, table.path, {:ranges, time.number})
+
+      for {group, times} <- Enum.zip(table.groups, ranges),
+          ranges_overlap?(times, range),
+          do: group
+    end)
+  end
+
+  defp ranges_overlap?(nil, _range), do: true
+
+  defp ranges_overlap?({first, last}, {from, to}),
+    do: (from == nil or last >= from) and (to == nil or first <= to)
+
+  @impl true
+  def stream_rows(table, groups, columns), do: stream_results(table, groups, columns, {:rows})
+
+  @doc """
+  Returns the values of the columns, some rows at a time, as `{rows, values}`. The values of a column are
+  `{:integer | :float | :boolean, bytes}`, or a list if values are missing or have another type.
+  """
+  @spec stream_columns(t(), [group()], [column()]) :: Enumerable.t()
+  def stream_columns(table, groups, columns),
+    do: stream_results(table, groups, columns, {:columns})
+
+  defp stream_results(table, groups, columns, request) do
+    numbers = Enum.map(columns, & &1.number)
+
+    Stream.resource(
+      fn -> {start_reading(table), groups, 0} end,
+      &next_rows(&1, table.path, numbers, request),
+      fn {program, _, _} -> Program.stop_program(program) end
     )
   end
 
-  defp start_rows(parquet, %{1 => chunks, 3 => rows}, columns, {_size, read})
-       when is_list(chunks) and rows >= 0 do
-    locations =
-      for column <- columns, do: {column, locate_chunks(column, chunks, rows, parquet.packed?)}
+  # If the start function raises, `Stream.resource/3` does not call the last function.
+  defp start_reading(table) do
+    program = Program.start_program()
 
-    columns =
-      for {column, leaves} <- locations,
-          do:
-            {column,
-             for({leaf, location} <- leaves, do: Chunk.start_reading(leaf, location, read))}
+    case Program.call(program, table.path, open_request(table.path)) do
+      {:ok, _columns} ->
+        program
 
-    %{columns: columns, remaining: rows}
-  end
-
-  defp start_rows(_parquet, _group, _columns, _input),
-    do: throw_malformed("a row group is malformed")
-
-  defp next_rows(%{remaining: 0}), do: :done
-
-  defp next_rows(%{remaining: remaining} = state) do
-    n = min(@slice_rows, remaining)
-    results = for {column, chunks} <- state.columns, do: take_column(column, chunks, n)
-    rows = results |> Enum.map(&elem(&1, 0)) |> Enum.zip_with(& &1)
-    columns = for {_values, column, chunks} <- results, do: {column, chunks}
-    {rows, %{state | columns: columns, remaining: remaining - n}}
-  end
-
-  defp take_column(column, chunks, n) do
-    {rows, chunks} = chunks |> Enum.map(&Chunk.take_rows(&1, n)) |> Enum.unzip()
-
-    if Enum.any?(rows, &(length(&1) != n)),
-      do: throw_malformed("#{inspect(column.name)} does not have as many rows as its group")
-
-    {column_values(column, rows), column, chunks}
-  end
-
-  defp column_values(%{tree: tree}, rows),
-    do: Enum.zip_with(rows, &SchemaTree.row_value(tree, &1))
-
-  defp column_values(_leaf, [values]), do: values
-
-  defp locate_chunks(column, chunks, rows, packed?) do
-    nested? = is_map_key(column, :tree)
-
-    for leaf <- if(nested?, do: column.tree.leaves, else: [column]) do
-      case Enum.at(chunks, leaf.at) do
-        %{3 => %{4 => codec, 5 => count, 7 => size, 9 => data} = meta}
-        when size in 0..@max_chunk and is_integer(codec) and is_integer(data) and count >= 0 ->
-          # Some writers set the offset to 0 for chunks without a dictionary.
-          dictionary = if is_integer(meta[11]) and meta[11] > 0, do: meta[11], else: data
-
-          {leaf,
-           %{
-             at: min(dictionary, data),
-             size: size,
-             packing: %{codec: codec, packed?: packed?},
-             count: if(nested?, do: count, else: rows),
-             nested?: nested?
-           }}
-
-        _ ->
-          throw_malformed("the chunk of #{inspect(leaf.name)} is missing or malformed")
-      end
+      {:error, error} ->
+        Program.stop_program(program)
+        raise error
     end
   end
 
-  defp throw_malformed(why), do: throw({:not_parquet, why})
+  defp next_rows({_program, [], 0} = state, _path, _numbers, _request), do: {:halt, state}
+
+  defp next_rows({program, [{group, rows} | groups], 0}, path, numbers, _request) do
+    :ok = Program.call!(program, path, {:group, group, numbers})
+    {[], {program, groups, rows}}
+  end
+
+  defp next_rows({program, groups, remaining}, path, _numbers, request) do
+    {rows, values} = Program.call!(program, path, request)
+    results = if request == {:rows}, do: values, else: [{rows, values}]
+    {results, {program, groups, remaining - rows}}
+  end
 end

@@ -1,92 +1,76 @@
 defmodule Situ.Bridge.Parquet.Writer do
   @moduledoc false
-  # Writes a Parquet file (https://github.com/apache/parquet-format): row groups with one page per column, and the
-  # footer.
+  # Writes a Parquet file under a temporary name until it is complete.
   @behaviour Situ.Bridge.Columnar.Writer
-  alias Situ.Bridge.Columnar.Output
-  alias Situ.Bridge.Parquet.{Column, Thrift}
+  alias Situ.Bridge.Parquet.Program
+  alias Situ.Error
 
-  @codecs %{none: 0, gzip: 2}
+  # Long lists of rows are slow to build, so the program collects them until they fill a row group.
+  @slice_rows 8_192
+  @group_rows 100_000
 
-  defstruct [:output, :columns, :codec, rows: 0, groups: []]
+  @enforce_keys [:program, :path]
+  defstruct @enforce_keys ++ [rows: 0]
   @type t :: %__MODULE__{}
 
   @impl true
-  def create(path, columns, codec) do
-    with {:ok, output} <- Output.create_file(path, "PAR1"),
-         do: {:ok, %__MODULE__{output: output, columns: columns, codec: codec}}
-  end
+  def create(path, columns, opts) do
+    writer = %__MODULE__{program: Program.start_program(), path: path}
+    columns = for column <- columns, do: {column.name, column.kind, column.optional?}
+    file = Path.expand(unfinished_path(writer))
+    request = {:create, file, columns, {opts[:compression] || :none, opts[:rows] || @group_rows}}
 
-  @impl true
-  def write(%{output: %{at: from}} = writer, values, rows) do
-    {chunks, at} =
-      writer.columns
-      |> Enum.zip(values)
-      |> Enum.map_reduce(from, fn {column, values}, at ->
-        {bytes, meta} = encode_chunk(column, values, rows, at, writer.codec)
-        {{bytes, meta}, at + IO.iodata_length(bytes)}
-      end)
+    case Program.call(writer.program, path, request) do
+      {:ok, :ok} ->
+        {:ok, writer}
 
-    with {:ok, output} <- Output.append_bytes(writer.output, Enum.map(chunks, &elem(&1, 0))) do
-      group =
-        {:struct,
-         [
-           {1, {:list, Enum.map(chunks, &elem(&1, 1))}},
-           {2, {:i64, at - from}},
-           {3, {:i64, rows}}
-         ]}
-
-      {:ok, %{writer | output: output, rows: writer.rows + rows, groups: [group | writer.groups]}}
+      error ->
+        Program.stop_program(writer.program)
+        error
     end
   end
 
-  defp encode_chunk(column, values, rows, at, codec) do
-    body = Column.encode_page(column, values)
-    packed = if codec == :gzip, do: :zlib.gzip(body), else: body
-    {size, stored} = {IO.iodata_length(body), IO.iodata_length(packed)}
-    page = {:struct, [{1, {:i32, rows}}, {2, {:i32, 0}}, {3, {:i32, 3}}, {4, {:i32, 3}}]}
+  @impl true
+  def max_rows(rows), do: min(rows, @slice_rows)
 
-    head =
-      Thrift.encode_struct(
-        {:struct, [{1, {:i32, 0}}, {2, {:i32, size}}, {3, {:i32, stored}}, {5, page}]}
-      )
+  defp unfinished_path(writer), do: writer.path <> ".unfinished"
 
-    n = IO.iodata_length(head)
+  @impl true
+  def write(writer, values, rows) do
+    request = {:write, rows, request_values(values)}
 
-    meta = [
-      {1, {:i32, Column.physical_type(column)}},
-      {2, {:list, [{:i32, 0}, {:i32, 3}]}},
-      {3, {:list, [{:binary, column.name}]}},
-      {4, {:i32, @codecs[codec]}},
-      {5, {:i64, rows}},
-      {6, {:i64, n + size}},
-      {7, {:i64, n + stored}},
-      {9, {:i64, at}}
-    ]
-
-    {[head, packed], {:struct, [{2, {:i64, at}}, {3, {:struct, meta}}]}}
+    with {:ok, :ok} <- Program.call(writer.program, writer.path, request),
+         do: {:ok, %{writer | rows: writer.rows + rows}}
   end
+
+  defp request_values({:rows, rows}), do: {:rows, rows}
+  defp request_values(columns), do: Enum.map(columns, &column_values/1)
+
+  defp column_values({:bytes, bytes, _n}), do: bytes
+  defp column_values(values), do: values
 
   @impl true
   def finish(writer) do
-    root = {:struct, [{4, {:binary, "situ"}}, {5, {:i32, length(writer.columns)}}]}
+    result =
+      with {:ok, :ok} <- Program.call(writer.program, writer.path, {:finish}),
+           do: Elixir.File.rename(unfinished_path(writer), writer.path)
 
-    footer =
-      Thrift.encode_struct(
-        {:struct,
-         [
-           {1, {:i32, 2}},
-           {2, {:list, [root | Enum.map(writer.columns, &Column.schema_element/1)]}},
-           {3, {:i64, writer.rows}},
-           {4, {:list, Enum.reverse(writer.groups)}},
-           {6, {:binary, "situ"}}
-         ]}
-      )
+    Program.stop_program(writer.program)
 
-    tail = [footer, <<IO.iodata_length(footer)::little-32>>, "PAR1"]
-    with :ok <- Output.finish_file(writer.output, tail), do: {:ok, writer.rows}
+    case result do
+      :ok -> {:ok, writer.rows}
+      {:error, %Error{} = error} -> {:error, error}
+      {:error, reason} -> {:error, rename_error(writer.path, reason)}
+    end
   end
 
+  defp rename_error(path, reason),
+    do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+
   @impl true
-  def abandon(writer), do: Output.delete_unfinished(writer.output)
+  def abandon(writer) do
+    Program.stop_program(writer.program)
+    Elixir.File.rm(unfinished_path(writer))
+    :ok
+  end
 end

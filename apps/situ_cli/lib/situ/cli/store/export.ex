@@ -52,8 +52,8 @@ defmodule Situ.CLI.Store.Export do
               Option.new(:to, :time, "end at this originating time"),
               Option.new(
                 :compression,
-                ["none", "gzip", "lz4", "zstd"],
-                "for Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
+                ["none", "gzip", "lz4", "zstd", "snappy"],
+                "for Parquet (zstd, snappy, gzip, none), MCAP (none, lz4, zstd) and bags (none, lz4)"
               ),
               Option.new(
                 :on,
@@ -309,7 +309,7 @@ defmodule Situ.CLI.Store.Export do
   defp read_options(opts),
     do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])
 
-  @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: ~w(none lz4)}
+  @packed %{parquet: ~w(none snappy gzip zstd), mcap: ~w(none lz4 zstd), bag: ~w(none lz4)}
 
   defp compression_option(_format, nil), do: []
 

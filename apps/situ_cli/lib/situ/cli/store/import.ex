@@ -105,7 +105,11 @@ defmodule Situ.CLI.Store.Import do
       Arguments.exclude_option(),
       Option.new(:from, :time, "start at this originating time"),
       Option.new(:to, :time, "end at this originating time; both ends are included"),
-      Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "the compression of the output"),
+      Option.new(
+        :compression,
+        ["none", "gzip", "lz4", "zstd", "snappy"],
+        "the compression of the output"
+      ),
       Option.new(:skip_damage, :flag, "omit damaged data; without this flag it is an error"),
       Option.new(
         :times,

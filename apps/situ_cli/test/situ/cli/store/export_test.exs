@@ -177,7 +177,7 @@ defmodule Situ.CLI.Store.ExportTest do
           {["-", "--format", "mcap"], "cannot be written to standard output"},
           {["-", "--format", "parquet", "-s", "A"], "cannot be written to standard output"},
           {["x.csv", "-s", "A", "--compression", "zstd"], "does not support this --compression"},
-          {["x.parquet", "-s", "A", "--compression", "lz4"], "use none, gzip"}
+          {["x.parquet", "-s", "A", "--compression", "lz4"], "use none, snappy, gzip, zstd"}
         ] do
       assert capture_io(:stderr, fn ->
                assert Situ.CLI.run(["store", "save", path | argv]) == 2
