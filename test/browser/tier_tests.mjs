@@ -156,3 +156,50 @@ test("11 tiers: the layers of all annotators are below each other, and their con
     "disagreements are proposals",
   );
 });
+
+test("11 tiers: are added, renamed, moved and removed in the dialog, and annotations follow", async ({
+  page,
+  shot,
+}) => {
+  await open(page, site.main, "minute.0000");
+  await beginTiers(page, "Chat", "Utterance\nWords in Utterance");
+  await page.evaluate(() =>
+    window.situStudio.annotation.addAnnotation(10e9, 20e9, { Utterance: "hello you" }, "Utterance"),
+  );
+  await count(page, 1, "an utterance");
+  await page.click(".annotation-tools button:text('Tiers…')");
+  const line = async (text) => {
+    await page.fill("[data-form=tier-add] input", text);
+    await page.click("[data-form=tier-add] button");
+  };
+  const names = (list, what) =>
+    until(
+      page,
+      (want) => want === [...document.querySelectorAll(".tier-row input[name=name]")].map((i) => i.value).join(),
+      what,
+      list,
+    );
+  await line("Kind of Utterance: question, answer");
+  await names("Utterance,Words,Kind", "a tier is added");
+  await page.click("button[aria-label='Move Kind up']");
+  await names("Utterance,Kind,Words", "it is moved");
+  await page.fill("input[aria-label='Name of Utterance']", "Turn");
+  await page.click("button[aria-label='Change Utterance']");
+  await names("Turn,Kind,Words", "a tier is renamed");
+  await until(page, () => window.situStudio.annotation.state.items[0].track === "Turn", "with its annotation");
+  equal((await items(page, "Turn"))[0][2], "hello you", "and its text");
+  await page.click("button[aria-label='Remove Turn']");
+  await until(page, () => document.querySelector("#tier-dialog .error").textContent.includes("1 annotation"), "asks");
+  await shot("tiers");
+  await page.click("#tier-dialog button:text('Remove Turn, 2 tiers below it, and 1 annotation')");
+  await names("", "all tiers are removed");
+  await page.click("#tier-dialog button:text('Undo')");
+  await names("Turn,Kind,Words", "undo brings them back");
+  await count(page, 1, "with the annotation");
+  await page.click("#tier-dialog button:text('Close')");
+  equal(
+    await page.evaluate(() => window.situStudio.annotation.trackNames()),
+    ["Turn", "Kind", "Words"],
+    "in this order",
+  );
+});

@@ -43,6 +43,7 @@ defmodule Situ.Store do
     Folder,
     Importer,
     Maintenance,
+    Moving,
     PartReader,
     Query,
     S3,
@@ -442,6 +443,17 @@ defmodule Situ.Store do
   """
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   defdelegate rename(path, name), to: Maintenance
+
+  @doc """
+  Moves a recording to another folder, also on another file system: `{:ok, new_path}`. All segments of a segmented
+  recording move, and the annotations and bookmarks next to it. Everything keeps its name, which must be free. If the
+  program is killed in between, both paths return the error `:move_interrupted`, and another call completes it.
+
+  Options:
+  #{Options.docs(Moving.move_options())}
+  """
+  @spec move(Path.t(), Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
+  defdelegate move(path, folder, opts \\ []), to: Moving
 
   @doc """
   Copies a store (or an external file) into a new one: `{:ok, path}`.

@@ -15,6 +15,8 @@ Times are integer nanoseconds since 1970, UTC, as in the rest of Situ.
             answers.send(message.time, message.data * 2)
 """
 
+from .annotation import Annotation, Layer, layers
+from .annotation import open_layer as annotations
 from .binary import Damaged, Missing
 from .component import Component
 from .dataset import ConflictError, Dataset, Partition, Session
@@ -32,6 +34,7 @@ from .writer import Writer, create
 __version__ = "1.0.0"
 __all__ = [
     "AbandonedWarning",
+    "Annotation",
     "Atom",
     "AudioBuffer",
     "Component",
@@ -43,6 +46,7 @@ __all__ = [
     "EncodedImage",
     "Frame",
     "Image",
+    "Layer",
     "Lazy",
     "Message",
     "Missing",
@@ -58,10 +62,12 @@ __all__ = [
     "Undecoded",
     "VideoPacket",
     "Writer",
+    "annotations",
     "create",
     "decode_video",
     "from_datetime",
     "from_text",
+    "layers",
     "now",
     "open",
     "publish",

@@ -232,7 +232,7 @@ def entry_changes(entries: Any) -> list[Any]:
 def lock(path: Any, wait: float = 30.0) -> Iterator[None]:
     """Holds the lock of a document. Raises TimeoutError with the holder."""
     if fcntl is None:
-        raise OSError("datasets can be edited on Linux and macOS only: this system has no file locks")
+        raise OSError("datasets and annotations can be edited on Linux and macOS only: this system has no file locks")
     last = time.monotonic() + wait
     while True:
         file = os.open(path + ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)

@@ -3,12 +3,11 @@ defmodule Situ.CLI.Task do
   # `situ task` and `situ dataset run`: run batch tasks and pipelines over the sessions of a
   # dataset.
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Progress, Setting, SourceFile, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Setting, TaskCode, Verb}
   alias Situ.Dataset
   alias Situ.Dataset.Derivation.Report
+  alias Situ.Experiment.TaskProvenance
   alias Situ.{Error, Time}
-
-  @apps [:situ_dataset, :situ_media, :situ_infer]
 
   @impl true
   def verbs do
@@ -72,10 +71,8 @@ defmodule Situ.CLI.Task do
     }
   end
 
-  defp start_apps, do: for(app <- @apps, do: {:ok, _} = Application.ensure_all_started(app))
-
   defp list_tasks(_arguments, opts) do
-    start_apps()
+    TaskCode.start_apps()
     tasks = Enum.map(Dataset.Task.list_tasks(), & &1.task())
 
     if opts[:json] do
@@ -99,15 +96,15 @@ defmodule Situ.CLI.Task do
   end
 
   defp run_task(%{path: path, task: name}, opts) do
-    start_apps()
-    {module, task} = load_task!(name)
+    TaskCode.start_apps()
+    {{module, _} = code, task} = TaskCode.load_task!(name)
     config = load_config(opts)
     options = unwrap!(Situ.Options.parse(config, task.options))
     if opts[:save_config], do: save_config(opts[:save_config], options)
     dataset = Situ.CLI.Dataset.open_dataset!(path)
 
     {:ok, dataset, report} =
-      derive_dataset(dataset, module, derivation_options(task, options, opts), opts)
+      derive_dataset(dataset, module, derivation_options({name, code, task}, options, opts), opts)
 
     if opts[:json],
       do: Output.print_json(report_json(report)),
@@ -116,45 +113,27 @@ defmodule Situ.CLI.Task do
     if Report.failures(report) == [], do: 0, else: 1
   end
 
-  defp load_task!(name) do
-    if Path.extname(name) in [".ex", ".exs"] do
-      load_from_file(name)
-    else
-      module = unwrap!(Dataset.Task.fetch_task(name))
-      {module, module.task()}
-    end
-  end
-
-  defp load_from_file(file) do
-    modules = for {module, _} <- SourceFile.compile_file!(file), do: module
-
-    cond do
-      module = Enum.find(modules, &function_exported?(&1, :task, 0)) ->
-        {module, module.task()}
-
-      module = Enum.find(modules, &function_exported?(&1, :build, 2)) ->
-        {module, %{output: module |> Module.split() |> List.last(), options: []}}
-
-      true ->
-        raise Error.new(:no_task, "#{file} has no task and no pipeline",
-                fix: "define a module with build/2, see Situ.Dataset.derive/3"
-              )
-    end
-  end
-
-  defp derivation_options(task, options, opts) do
+  # The name of a file is stored without its folder, because a dataset must not say which file is run.
+  defp derivation_options({name, code, task}, options, opts) do
     output = if task.output, do: opts[:output] || task.output
+    name = if TaskCode.file?(name), do: Path.basename(name), else: name
 
     [
       output: output,
       options: options,
+      provenance: if(output, do: TaskProvenance.describe_runs(name, code, options, output)),
       overwrite: opts[:overwrite],
       parallel: max(opts[:parallel], 1),
       on_failure: if(opts[:stop], do: :stop, else: :continue)
-    ] ++ if(opts[:session] == [], do: [], else: [sessions: opts[:session]])
+    ]
+    |> Enum.reject(&(&1 == {:provenance, nil}))
+    |> Enum.concat(if(opts[:session] == [], do: [], else: [sessions: opts[:session]]))
   end
 
-  defp derive_dataset(dataset, module, derivation, opts) do
+  @doc "Runs a task over a dataset and shows the progress. Raises the error of `Situ.Dataset.derive/3`."
+  @spec derive_dataset(Dataset.t(), module(), keyword(), keyword()) ::
+          {:ok, Dataset.t(), Report.t()}
+  def derive_dataset(dataset, module, derivation, opts) do
     Progress.with_progress("run", opts, fn progress ->
       report_progress = &progress.(round(&1.done * 1_000), 1_000)
 
@@ -195,7 +174,9 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  defp print_report(dataset, report) do
+  @doc "Prints the result of each session."
+  @spec print_report(Dataset.t(), Report.t()) :: :ok
+  def print_report(dataset, report) do
     for result <- report.results do
       what =
         if result.error,
@@ -212,6 +193,8 @@ defmodule Situ.CLI.Task do
         Output.warn(
           "The partitions #{inspect(report.output)} were written; run `situ dataset create` on the folder to list them."
         )
+
+    :ok
   end
 
   defp report_json(report) do

@@ -35,6 +35,21 @@ defmodule Situ.CLI.AnnotateTest do
     for a <- annotations, do: hd(a["bbox"])
   end
 
+  test "exports edits that no version contains yet", %{tmp_dir: root} do
+    path = Path.join(root, "talk")
+    {:ok, editor} = Editor.start_link(path: path, stream: "Words", schema: Schema.text("Words"))
+    add = &Layer.add(&1, Annotation.new(&2, &2 + 1, "P1", %{"Words" => &3}))
+    {:ok, _} = Editor.edit(editor, &add.(&1, 0, "saved"))
+    {:ok, first} = Editor.save(editor)
+    {:ok, _} = Editor.edit(editor, &add.(&1, 9, "in the log"))
+    file = Path.join(root, "a.csv")
+    assert {0, ""} = with_io(fn -> Situ.CLI.run(["annotate", "export", path, file]) end)
+    assert File.read!(file) =~ "in the log"
+    {:ok, _} = Editor.save(editor)
+    assert {0, ""} = with_io(fn -> Situ.CLI.run(["annotate", "export", first, file]) end)
+    refute File.read!(file) =~ "in the log"
+  end
+
   test "exports COCO boxes of key frames, or of every image of a stream", %{tmp_dir: root} do
     {path, file} = {boxes(root), Path.join(root, "b.coco.json")}
     assert {0, ""} = with_io(fn -> Situ.CLI.run(["annotate", "export", path, file]) end)
@@ -164,6 +179,40 @@ defmodule Situ.CLI.AnnotateTest do
       assert said =~ "kappa"
       assert {1, said} = with_stderr(argv)
       assert said =~ "--session: p01, p02"
+    end
+
+    test "edits the tiers of a layer, which undo brings back", %{study: study} do
+      file = Path.rootname(study) <> ".csv"
+      path = Path.join(Path.dirname(study), "talk/annotation")
+
+      {:ok, schema} =
+        Schema.parse(%{
+          "name" => "Talk",
+          "attributes" => [%{"name" => "Words", "kind" => "text"}],
+          "tiers" => [%{"name" => "Words", "attribute" => "Words"}]
+        })
+
+      {:ok, layer} = Layer.new(schema, [Annotation.new(0, 9, "Words", %{"Words" => "hello"})])
+      {:ok, _} = Recording.write(layer, path, "Talk")
+      tiers = fn argv -> run([hd(argv), path | tl(argv)]) end
+
+      assert tiers.(["add-tier", "Kind of Words: noun, verb"]) ==
+               {0, "Words\nKind of Words: noun, verb\n"}
+
+      assert tiers.(["set-values", "Kind", "noun -> N, verb"]) ==
+               {0, "Words\nKind of Words: N, verb\n"}
+
+      assert {0, "Tokens\nKind of Tokens" <> _} = tiers.(["rename-tier", "Words", "Tokens"])
+      assert {0, "Tokens\nKind in Tokens" <> _} = tiers.(["set-parent", "Kind in Tokens"])
+      assert {0, "Kind in Tokens" <> _} = tiers.(["move-tier", "Tokens"])
+      assert {1, said} = with_stderr(["remove-tier", path, "Tokens"])
+      assert said =~ "1 annotation" and said =~ "undone"
+      assert {0, ""} = tiers.(["remove-tier", "Tokens", "--delete"])
+      assert {0, "1 annotation\n"} = tiers.(["undo"])
+      assert {0, said} = tiers.(["info"])
+      assert said =~ "tier Kind in Tokens: N, verb" and said =~ "Tokens: 1"
+      assert {0, ""} = run(["export", path, file])
+      assert File.read!(file) =~ "hello"
     end
 
     defp with_stderr(argv) do

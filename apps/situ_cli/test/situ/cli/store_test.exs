@@ -499,6 +499,40 @@ defmodule Situ.CLI.StoreTest do
     assert refused(["compact", Path.join(root, "gone")]) =~ "no store"
   end
 
+  test "moves a store, and datasets name the new path", %{path: path, tmp_dir: root} do
+    alias Situ.Dataset
+    folder = Store.open!(path).path
+    study = Path.join(root, "study.json")
+    far = Path.join(root, "far/off/other.json")
+    archive = Path.join(root, "archive")
+    File.mkdir_p!(Path.dirname(far))
+    File.write!(Path.join(root, "broken.json"), ~s({"Sessions": 7}))
+
+    for file <- [study, far] do
+      {:ok, dataset} = Dataset.new("Study", file: file, autosave: true)
+      {:ok, dataset} = Dataset.add_session(dataset, "p01")
+      {:ok, _} = Dataset.add_partition(dataset, "p01", "Room", folder)
+    end
+
+    said =
+      capture_io(:stderr, fn ->
+        {0, said} = run(["move", path, archive, "--dataset", far])
+        assert said =~ ~r/\A#{archive}\/lobby.0000\n#{far}: p01, Room\n#{study}: p01, Room\n\z/
+      end)
+
+    assert said =~ "broken.json was not changed"
+    assert values(Path.join(archive, "lobby"), "Room.Level") == Enum.to_list(0..99)
+
+    for file <- [study, far] do
+      {:ok, dataset} = Dataset.load(file)
+      assert [%{path: found}] = Dataset.list_partitions(dataset)
+      assert found == Path.join(archive, "lobby.0000")
+    end
+
+    assert refused(["move", path, archive]) =~ "no store"
+    assert refused(["move", Path.join(archive, "lobby"), archive]) =~ "already"
+  end
+
   test "names a store after its folder", %{path: path} do
     {0, made} = run(["rename", path, "entrance"])
     made = String.trim(made)

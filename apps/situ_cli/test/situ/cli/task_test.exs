@@ -84,6 +84,80 @@ defmodule Situ.CLI.TaskTest do
     assert said =~ "no task and no pipeline"
   end
 
+  test "shows when the code or the recordings of a partition have changed, and makes it again",
+       ctx do
+    %{study: file, tmp_dir: root} = ctx
+    own = Path.join(root, "scaled.ex")
+
+    write = fn factor ->
+      :code.purge(Situ.CLI.TaskTest.Scaled)
+      :code.delete(Situ.CLI.TaskTest.Scaled)
+
+      File.write!(own, """
+      defmodule Situ.CLI.TaskTest.Scaled do
+        def task do
+          options = [add: [type: :integer, default: 0]]
+          %{name: "scaled", about: "", output: "Scaled", options: options}
+        end
+
+        def build(_p, opts) do
+          "[room]:Level" |> opts[:open].() |> Situ.map(&(&1 * #{factor} + opts[:add])) |> opts[:write].("Level")
+        end
+      end
+      """)
+    end
+
+    dataset = fn argv -> with_io(fn -> Situ.CLI.run(["dataset" | argv]) end) end
+
+    values = fn session ->
+      {:ok, dataset} = Dataset.load(file)
+      {:ok, session} = Dataset.session(dataset, session)
+      partition = Enum.find(session.partitions, &(&1.name == "Scaled"))
+      partition.path |> Store.open!() |> Store.messages("Level") |> Enum.map(& &1.data)
+    end
+
+    write.(2)
+    assert {0, _} = run(["run", file, own, "--set", "add=1"])
+    assert {0, _} = run(["run", file, "drop-streams", "--set", ~s(drop=["Secret"])])
+    assert values.("p1") == for(n <- 0..9, do: n * 2 + 1)
+    refresh = ["refresh", file, "--code", own]
+    assert {0, "All partitions of tasks are up to date.\n"} = dataset.(refresh)
+
+    # The dataset file does not say which file is run.
+    refute File.read!(file) =~ root <> "/scaled.ex"
+    said = capture_io(:stderr, fn -> assert {0, _} = dataset.(["refresh", file]) end)
+    assert said =~ "scaled.ex was not compared"
+
+    write.(3)
+    assert {0, said} = dataset.(refresh ++ ["--dry-run"])
+    assert said =~ "p1, Scaled (scaled.ex): the code has changed"
+    assert said =~ "p2, Scaled" and values.("p1") == for(n <- 0..9, do: n * 2 + 1)
+    assert {0, said} = dataset.(refresh ++ ["--session", "p1"])
+    assert said =~ "p1: done"
+    # The options are those of the first run.
+    assert values.("p1") == for(n <- 0..9, do: n * 3 + 1)
+    assert values.("p2") == for(n <- 0..9, do: n * 4 + 1)
+
+    # A recording that is made again later is an input of the partitions after it.
+    assert {0, _} = dataset.(refresh)
+    assert values.("p2") == for(n <- 0..9, do: n * 6 + 1)
+    assert {0, said} = dataset.(refresh)
+    assert said =~ "up to date"
+
+    {:ok, writer} = Store.Writer.create("room", Path.join(root, "p1"))
+    {:ok, level} = Store.Writer.stream(writer, "Level", type: :integer)
+    message = %Message{data: 7, originating_time: 1, creation_time: 1, sequence_id: 1}
+    {:ok, _} = Store.Writer.append(level, [message])
+    :ok = Store.Writer.close(writer)
+    {:ok, study} = Dataset.load(file)
+    new = &Dataset.Session.replace_partition(&1, Dataset.Partition.new("room", writer.path))
+    {:ok, _} = Dataset.update(study, fn d -> Dataset.update_session(d, "p1", new) end)
+    assert {0, said} = dataset.(["info", file])
+    assert said =~ "p1, Scaled (scaled.ex): the recordings have changed"
+    assert {0, _} = dataset.(refresh)
+    assert values.("p1") == [22]
+  end
+
   test "drops streams, with options from a saved file", %{
     study: file,
     tmp_dir: root

@@ -1,8 +1,8 @@
 defmodule Situ.Annotation.EditMerge do
   @moduledoc false
   # Decides whether an edit that a person made while looking at an earlier version can be merged: nobody else has
-  # changed the same fields of an annotation since, nor deleted it.
-  alias Situ.Annotation.{Layer, LayerOperation}
+  # changed the same fields of an annotation since, nor deleted it, nor changed the tier of its track.
+  alias Situ.Annotation.{Layer, LayerOperation, Schema}
   alias Situ.EditLog.Entry
   alias Situ.Error
 
@@ -17,12 +17,26 @@ defmodule Situ.Annotation.EditMerge do
 
     entries
     |> Enum.take_while(&(opts[:version] != nil and &1.n > opts[:version]))
-    |> Enum.find(&(not same_person?(&1, mine) and overlaps?(&1, wanted)))
-    |> case do
-      nil -> :ok
-      entry -> {:error, stale_error(entry)}
+    |> Enum.reject(&same_person?(&1, mine))
+    |> Enum.find_value(:ok, fn entry ->
+      cond do
+        overlaps?(entry, wanted) -> {:error, stale_error(entry, "the annotation was")}
+        changes_tier?(entry.do, transaction) -> {:error, stale_error(entry, "the tiers were")}
+        true -> nil
+      end
+    end)
+  end
+
+  defp changes_tier?(%{"schema" => [before, later]}, transaction) do
+    with {:ok, before} <- Schema.parse(before), {:ok, later} <- Schema.parse(later) do
+      tracks = for {_, a, b} <- transaction, %{track: track} <- [a, b], uniq: true, do: track
+      Enum.any?(tracks, &(Schema.find_tier(before, &1) != Schema.find_tier(later, &1)))
+    else
+      _ -> false
     end
   end
+
+  defp changes_tier?(_operation, _transaction), do: false
 
   defp same_person?(entry, mine), do: Entry.same_user?(entry, mine) and entry.by == mine.by
 
@@ -49,11 +63,11 @@ defmodule Situ.Annotation.EditMerge do
   defp field_group(field) when field in [:from, :to, :track], do: :interval
   defp field_group(field), do: field
 
-  defp stale_error(entry) do
-    Error.new(:stale_edit, "the annotation was changed by someone else",
+  defp stale_error(entry, subject) do
+    Error.new(:stale_edit, "#{subject} changed by someone else",
       why:
-        "#{entry.by || entry.user || "another user"} changed it at #{entry.at} with #{entry.program}",
-      fix: "look at the annotation, and repeat the edit if it is still wanted"
+        "#{entry.by || entry.user || "another user"} did it at #{entry.at} with #{entry.program}",
+      fix: "look at the change, and repeat the edit if it is still wanted"
     )
   end
 end

@@ -119,6 +119,17 @@ defmodule Situ.Annotation.Editor do
     do: GenServer.call(server, {:put_schema, schema, fun}, 600_000)
 
   @doc """
+  Changes the schema, such as its tiers (`Situ.Annotation.TierEdit`), with all annotations as one operation that can be
+  undone, saves it, and returns `{:ok, layer}`. The edit is a function `layer -> {:ok, layer} | {:error, error}`, which
+  gets the layer with the edits of all other programs. Option: `by:`, as for `edit/3`. Errors: the errors of the
+  function and of `edit/3`.
+  """
+  @spec edit_schema(server(), (Layer.t() -> {:ok, Layer.t()} | {:error, Error.t()}), keyword()) ::
+          {:ok, Layer.t()} | {:error, Error.t()}
+  def edit_schema(server, fun, opts \\ []) when is_function(fun, 1),
+    do: GenServer.call(server, {:edit_schema, fun, opts}, 600_000)
+
+  @doc """
   Restores the layer of an earlier version, as a new operation that can be undone. `version` is a number.
   """
   @spec restore(server(), non_neg_integer(), keyword()) :: {:ok, Layer.t()} | {:error, Error.t()}
@@ -198,15 +209,16 @@ defmodule Situ.Annotation.Editor do
     do: run_locked(state, &LayerHistory.restore(&1, version, opts))
 
   def handle_call({:put_schema, schema, fun}, _from, state) do
-    changed =
-      run_locked(state, fn document ->
-        with {:ok, layer} <- convert_layer(document.layer, schema, fun),
-             operation = LayerOperation.diff_layers(document.layer, layer),
-             {:ok, document} <- LayerHistory.append(document, "edit", operation, []),
-             do: LayerDocument.write_version(document)
-      end)
+    state
+    |> run_locked(&change_layer(&1, fn layer -> convert_layer(layer, schema, fun) end, []))
+    |> reply_folder(state)
+  end
 
-    reply_folder(changed, state)
+  def handle_call({:edit_schema, fun, opts}, _from, state) do
+    changed = run_locked(state, &change_layer(&1, fn layer -> run_edit(fun, layer) end, opts))
+
+    with {:reply, {:ok, _folder}, later} <- reply_folder(changed, state),
+         do: {:reply, {:ok, later.document.layer}, later}
   end
 
   def handle_call(:save, _from, state),
@@ -257,6 +269,14 @@ defmodule Situ.Annotation.Editor do
          do: notify_subscribers(state, transaction)
 
     state
+  end
+
+  # The caller holds the lock. Other programs read the schema from the store, so a version is written.
+  defp change_layer(document, fun, opts) do
+    with {:ok, %Layer{} = layer} <- fun.(document.layer),
+         operation = LayerOperation.diff_layers(document.layer, layer),
+         {:ok, document} <- LayerHistory.append(document, "edit", operation, opts),
+         do: LayerDocument.write_version(document)
   end
 
   defp convert_layer(layer, schema, fun) do

@@ -185,8 +185,16 @@ defmodule Situ.Annotation.LayerDocument do
   defp reload(state) do
     with {:ok, fresh, _outside} <-
            load_state(new_state(state.path, state.stream), state.layer && state.layer.schema),
+         :ok <- check_present(state, fresh),
          do: {:ok, %{fresh | seen: state.seen, recovered: state.recovered}}
   end
+
+  # A log that has gone must not begin anew in the old folder, where nobody would find the edits.
+  defp check_present(%{log: %{id: id}} = state, %{base: nil, log: %{id: nil}}) when id != nil do
+    {:error, StoreVersions.moved_error(state.document)}
+  end
+
+  defp check_present(_state, _fresh), do: :ok
 
   defp apply_entries(state, entries) do
     Enum.reduce_while(entries, {:ok, state}, fn entry, {:ok, state} ->

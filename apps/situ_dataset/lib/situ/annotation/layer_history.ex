@@ -2,7 +2,7 @@ defmodule Situ.Annotation.LayerHistory do
   @moduledoc false
   # Creates layers, and undoes, names and restores their versions. Except for `create_layer/3`, the caller holds the
   # lock of the document and has caught up.
-  alias Situ.Annotation.{Layer, LayerDocument, LayerOperation}
+  alias Situ.Annotation.{Layer, LayerDocument, LayerOperation, Schema}
   alias Situ.{EditLog, Error}
   alias Situ.EditLog.{Entry, Versions}
 
@@ -24,7 +24,7 @@ defmodule Situ.Annotation.LayerHistory do
   def undo(document) do
     case undo_stacks(document) do
       {[entry | _], _} ->
-        LayerDocument.append(document, "undo", LayerOperation.invert(entry.do), of: entry.n)
+        append_current(document, "undo", {LayerOperation.invert(entry.do), entry})
 
       {[], _} ->
         {:error, Error.new(:nothing_to_undo, "there is nothing to undo")}
@@ -35,9 +35,29 @@ defmodule Situ.Annotation.LayerHistory do
   @spec redo(LayerDocument.t()) :: LayerDocument.result()
   def redo(document) do
     case undo_stacks(document) do
-      {_, [entry | _]} -> LayerDocument.append(document, "redo", entry.do, of: entry.n)
+      {_, [entry | _]} -> append_current(document, "redo", {entry.do, entry})
       {_, []} -> {:error, Error.new(:nothing_to_redo, "there is nothing to redo")}
     end
+  end
+
+  # A schema is replaced as a whole, so a later change by someone else would be lost.
+  defp append_current(document, kind, {operation, entry}) do
+    case operation["schema"] do
+      [expected, _] ->
+        if Schema.parse(expected) == {:ok, document.layer.schema},
+          do: LayerDocument.append(document, kind, operation, of: entry.n),
+          else: {:error, schema_error()}
+
+      _ ->
+        LayerDocument.append(document, kind, operation, of: entry.n)
+    end
+  end
+
+  defp schema_error do
+    Error.new(:stale_edit, "the schema was changed by someone else",
+      why: "undoing or redoing an earlier change of it would lose theirs",
+      fix: "restore a version from the history, or change the schema again"
+    )
   end
 
   @doc "Restores the layer of an earlier version by a new operation."

@@ -129,7 +129,7 @@ defmodule Situ.Annotation.LayerOperation do
   @doc "Describes the changes of an entry in plain words."
   @spec describe_entry(Entry.t()) :: [String.t()]
   def describe_entry(%Entry{do: operation}) do
-    schema = if operation["schema"], do: ["change the schema"], else: []
+    schema = describe_schema(operation["schema"])
 
     changes =
       case parse_transaction(operation) do
@@ -139,6 +139,27 @@ defmodule Situ.Annotation.LayerOperation do
 
     schema ++ changes
   end
+
+  defp describe_schema([%{} = before, %{} = later]) do
+    {before, later} = {tier_names(before), tier_names(later)}
+
+    case {before -- later, later -- before} do
+      {[], []} ->
+        ["change the schema"]
+
+      {[from], [to]} when length(before) == length(later) ->
+        ["rename tier #{from} to #{to}"]
+
+      {removed, added} ->
+        Enum.map(removed, &"remove tier #{&1}") ++ Enum.map(added, &"add tier #{&1}")
+    end
+  end
+
+  defp describe_schema(nil), do: []
+  defp describe_schema(_), do: ["change the schema"]
+
+  defp tier_names(schema),
+    do: for(%{"name" => name} <- List.wrap(schema["tiers"]), is_binary(name), do: name)
 
   defp describe_change({_id, nil, later}), do: "add #{describe_annotation(later)}"
   defp describe_change({_id, before, nil}), do: "delete #{describe_annotation(before)}"

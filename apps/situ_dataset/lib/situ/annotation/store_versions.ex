@@ -25,6 +25,15 @@ defmodule Situ.Annotation.StoreVersions do
     end
   end
 
+  @doc "Returns the error for a layer that was open and does not exist any more."
+  @spec moved_error(Path.t()) :: Error.t()
+  def moved_error(document) do
+    Error.new(:layer_moved, "the annotations in #{document} do not exist any more",
+      why: "another program has moved or deleted them",
+      fix: "open the recording in its new folder"
+    )
+  end
+
   @doc "Returns the newest version of a store, or `nil`."
   @spec newest_folder(Path.t()) :: Path.t() | nil
   def newest_folder(path),

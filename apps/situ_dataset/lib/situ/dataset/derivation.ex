@@ -42,6 +42,12 @@ defmodule Situ.Dataset.Derivation do
       default: true,
       doc: "Keep the results of an earlier, interrupted run of the same output."
     ],
+    provenance: [
+      type: {:fun, 1},
+      doc:
+        "A function of the session that returns a map for JSON, which says how its output is made. It is called " <>
+          "before the session starts, and stored as `extra[\"provenance\"]` of the new partition."
+    ],
     progress: [
       type: {:fun, 1},
       doc: "Called with the progress at most ten times a second."
@@ -124,9 +130,10 @@ defmodule Situ.Dataset.Derivation do
   # Adds the outputs that were complete when a run was killed, because they may not be in the dataset yet.
   defp recover_results(sessions, done, acc, commit, opts) do
     sessions
-    |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))
+    |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(elem(done[&1.name], 0))))
     |> Enum.reduce_while({:ok, acc, []}, fn session, {:ok, acc, kept_names} ->
-      partition = Partition.new(opts[:output], done[session.name])
+      {folder, provenance} = done[session.name]
+      partition = Job.build_partition(opts[:output], folder, provenance)
 
       case commit.(acc, session, partition) do
         {:ok, acc} -> {:cont, {:ok, acc, [session.name | kept_names]}}
@@ -278,8 +285,8 @@ defmodule Situ.Dataset.Derivation do
 
   defp publish_session(state, job, result, took) do
     with {:ok, folder} <- Job.publish_output(job),
-         :ok <- RunJournal.record_done(state.log, job.session.name, folder),
-         partition = Partition.new(state.opts[:output], folder),
+         :ok <- RunJournal.record_done(state.log, job.session.name, {folder, job.provenance}),
+         partition = Job.build_partition(state.opts[:output], folder, job.provenance),
          {:ok, acc} <- state.commit.(state.acc, job.session, partition) do
       record_result(%{state | acc: acc}, job.session.name, :done, nil, result, took)
     else

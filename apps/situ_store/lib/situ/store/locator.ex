@@ -6,6 +6,7 @@ defmodule Situ.Store.Locator do
 
   alias Situ.Store.{
     Folder,
+    MovePlan,
     NativeErrors,
     NativeFormat,
     Replacement,
@@ -36,6 +37,9 @@ defmodule Situ.Store.Locator do
     cond do
       plan = SegmentRenaming.find_interrupted(path) ->
         {:error, SegmentRenaming.interrupted_error(plan)}
+
+      plan = MovePlan.find_interrupted(path) ->
+        {:error, MovePlan.interrupted_error(plan)}
 
       reader == nil and Segments.segmented?(path) ->
         {:ok, path, SegmentedRecording}

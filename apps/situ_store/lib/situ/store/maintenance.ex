@@ -208,7 +208,7 @@ defmodule Situ.Store.Maintenance do
     Draft.delete_abandoned(path)
 
     with :ok <- check_renaming(path),
-         {:ok, folders} <- resolve_folders(path),
+         {:ok, folders} <- list_idle_folders(path),
          {:ok, unmarked} <- list_idle_unmarked(path),
          do: Enum.find_value(unmarked ++ folders, :ok, &find_error(Deletion.delete_folder(&1)))
   end
@@ -222,7 +222,7 @@ defmodule Situ.Store.Maintenance do
         SegmentRenaming.complete(plan)
 
       nil ->
-        with {:ok, folders} <- resolve_folders(path), do: rename_folders(folders, path, name)
+        with {:ok, folders} <- list_idle_folders(path), do: rename_folders(folders, path, name)
 
       plan ->
         {:error, SegmentRenaming.interrupted_error(plan)}
@@ -242,8 +242,9 @@ defmodule Situ.Store.Maintenance do
     end
   end
 
-  # Returns the folders of a recording, none of which is being written.
-  defp resolve_folders(path) do
+  @doc "Returns the folders of a recording, or an error if one of them is being written."
+  @spec list_idle_folders(Path.t()) :: {:ok, [Path.t()]} | {:error, Error.t()}
+  def list_idle_folders(path) do
     if Segments.segmented?(path) do
       folders = Segments.list_folders(path)
       with nil <- Enum.find_value(folders, &find_error(check_idle(&1))), do: {:ok, folders}

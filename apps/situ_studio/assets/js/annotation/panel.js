@@ -60,6 +60,7 @@ export class AnnotationPanel {
     this.raw = state;
     const toRelative = (ns) => this.app.client.toRelative(BigInt(ns));
     if (this.app.client.origin === null) return (this.early = state);
+    const { tiers } = this.state;
     this.state = {
       ...state,
       items: state.items.map((a) => ({ ...a, from: toRelative(a.from), to: toRelative(a.to) })),
@@ -70,6 +71,9 @@ export class AnnotationPanel {
     this.shadowed = state.shadowed;
     if (state.recovered && !this.welcomed) showToast(`${state.recovered} unsaved edits were restored`);
     this.welcomed = true;
+    // the tier of the selected track was renamed or removed
+    const gone = findTier(tiers, this.track) && !findTier(state.tiers, this.track);
+    if (gone && !state.tracks.includes(this.track)) this.track = FIRST;
     if (!this.trackNames().includes(this.track)) this.track = this.trackNames()[0];
     if (this.selected && !this.findItem()) this.selected = null;
     if (this.attribute >= state.attributes.length) this.attribute = 0;

@@ -10,6 +10,7 @@ export function findTier(tiers, track) {
 }
 
 // Returns the tracks in the order of the panel: children follow their parents, and siblings have the schema's order.
+// Tracks without a tier are first, by their names.
 /** @param {string[]} tracks @param {Tier[]} tiers @returns {string[]} */
 export function orderTracks(tracks, tiers) {
   const names = new Set([...tracks, ...tiers.map((t) => t.track)]);
@@ -18,7 +19,9 @@ export function orderTracks(tracks, tiers) {
     track,
     ...tiers.filter((t) => t.parent === track).flatMap((t) => withChildren(t.track)),
   ];
+  const place = (track) => tiers.findIndex((t) => t.track === track);
   const roots = [...names].filter((track) => findTier(tiers, track)?.parent == null).sort();
+  roots.sort((a, b) => place(a) - place(b));
   return roots.flatMap(withChildren);
 }
 

@@ -31,6 +31,9 @@ export class Tools {
       this.chooseTrack(),
     );
     this.addButton("Schema…", "Edit attributes, values, keys and colors", () => this.pushEvent("annotation_schema"));
+    this.addButton("Tiers…", "Add, rename, move and remove tiers, and change their values", () =>
+      this.pushEvent("annotation_tiers"),
+    );
     this.addButton("History…", "Show who changed these annotations, and restore earlier versions", () =>
       this.pushEvent("annotation_history"),
     );

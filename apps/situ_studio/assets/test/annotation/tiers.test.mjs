@@ -25,6 +25,10 @@ test("children follow their parents, and other tracks are sorted", () => {
   assert.deepEqual(orderTracks(["B", "A"], tiers), ["A", "B", "Utt@Ada", "Words@Ada", "Translation@Ada"]);
 });
 
+test("tiers without a parent have the order of the schema", () => {
+  assert.deepEqual(orderTracks(["A", "B", "C"], [tier("C", "Text"), tier("B", "Text")]), ["A", "C", "B"]);
+});
+
 test("a value goes to the tier that has its attribute", () => {
   assert.equal(trackFor(tiers, "Words@Ada", "Kind"), "Utt@Ada");
   assert.equal(trackFor(tiers, "Utt@Ada", "Text"), "Words@Ada");

@@ -8,6 +8,7 @@ defmodule Situ.Studio.BatchRuns do
 
   alias Situ.Dataset.{Derivation, Server, Task}
   alias Situ.Error
+  alias Situ.Experiment.TaskProvenance
   alias Situ.Studio.BatchRuns.{ResumableRuns, Run}
   alias Situ.Studio.Datasets
 
@@ -124,8 +125,22 @@ defmodule Situ.Studio.BatchRuns do
       ] ++ opts
 
     Elixir.Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn ->
+      opts = put_provenance(opts, module)
       Derivation.run(sessions, module, Server.get_dataset(server).file, {server, commit}, opts)
     end)
+  end
+
+  # The code of a task is read from disk, which takes time, so the run does it.
+  defp put_provenance(opts, module) do
+    name = module.task().name
+    output = opts[:output]
+
+    if output,
+      do: [
+        {:provenance, TaskProvenance.describe_runs(name, {module, %{}}, opts[:options], output)}
+        | opts
+      ],
+      else: opts
   end
 
   @impl true

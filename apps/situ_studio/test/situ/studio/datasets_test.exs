@@ -146,6 +146,14 @@ defmodule Situ.Studio.DatasetsTest do
     assert {:ok, 1} = BatchRuns.start_run(studio, {server, file}, "doubled", all, %{"by" => 3})
     assert_receive {:batch, ^file, [%{status: :failed} = run]}, 60_000
     assert [{"bad", _}] = Situ.Dataset.Derivation.Report.failures(run.report)
+    {:ok, saved} = Situ.Dataset.load(file)
+    {:ok, c} = Situ.Dataset.session(saved, "c")
+    {:ok, made} = Situ.Dataset.Session.fetch_partition(c, "Doubled")
+
+    assert %{"task" => "doubled", "options" => %{"by" => 3}, "code" => code} =
+             made.extra["provenance"]
+
+    assert code =~ ~r/\A[0-9a-f]{64}\z/
     {:ok, _, source} = Catalog.open_source(studio, "study.json/c/Doubled")
     {:ok, message} = StreamReader.latest_at(source, "Level", 35 * @s)
     assert message.data == 15

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Annotate.Report do
   @moduledoc false
   # Formats the reports of `situ annotate` for people and as JSON: annotation streams, and the agreement of annotators.
-  alias Situ.Annotation.{Agreement, Layer, Schema}
+  alias Situ.Annotation.{Agreement, Layer, Schema, TierEdit}
   alias Situ.CLI.Output
   alias Situ.Time
 
@@ -15,6 +15,7 @@ defmodule Situ.CLI.Annotate.Report do
       schema: Schema.to_json(layer.schema),
       annotations: length(all),
       proposals: Enum.count(all, & &1.proposed?),
+      tiers: Enum.map(layer.schema.tiers, &TierEdit.describe_tier(layer.schema, &1.name)),
       tracks:
         for(
           track <- Layer.track_names(layer),
@@ -39,6 +40,8 @@ defmodule Situ.CLI.Annotate.Report do
       "#{session}#{Output.format_name(layer.stream)}: " <>
         "#{Output.format_count(layer.annotations, "annotation")}#{proposals}; #{attributes}"
     )
+
+    for tier <- layer.tiers, do: Output.puts("  tier #{tier}")
 
     Enum.each(
       layer.tracks,

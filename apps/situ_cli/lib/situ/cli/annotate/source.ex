@@ -2,7 +2,7 @@ defmodule Situ.CLI.Annotate.Source do
   @moduledoc false
   # Opens the annotations that `situ annotate` works on: a recording with annotations, or a session of a dataset file,
   # whose layers may be in any of its partitions.
-  alias Situ.Annotation.{Layer, Recording}
+  alias Situ.Annotation.{Layer, LayerDocument, Recording, StoreVersions}
   alias Situ.CLI.Option
   alias Situ.{Dataset, Error, Store}
   alias Situ.Dataset.{FileFormat, OpenSession, Session, SessionLayers}
@@ -80,12 +80,21 @@ defmodule Situ.CLI.Annotate.Source do
   @spec load_layer!(t(), String.t() | nil) :: Layer.t()
   def load_layer!(source, nil), do: load_layer!(source, only_stream!(source))
 
-  def load_layer!({:recording, store}, name),
-    do: Error.unwrap!(Recording.load_layer(store, name))
+  def load_layer!({:recording, store}, name), do: load_current!(store, name)
 
   def load_layer!({:session, open}, name) do
     {_, store, stream} = Error.unwrap!(OpenSession.fetch_stream(open, name))
-    Error.unwrap!(Recording.load_layer(store, stream))
+    load_current!(store, stream)
+  end
+
+  # The newest version includes the edits in its log that no version contains yet.
+  defp load_current!(store, stream) do
+    path = String.replace(store.path, ~r/\.\d{4,}\/*$/, "")
+    log = LayerDocument.document_path(path, stream) <> ".edits"
+
+    if File.exists?(log) and StoreVersions.newest_folder(path) == store.path,
+      do: Error.unwrap!(LayerDocument.open(path, stream, nil)).layer,
+      else: Error.unwrap!(Recording.load_layer(store, stream))
   end
 
   defp only_stream!(source) do
@@ -144,5 +153,56 @@ defmodule Situ.CLI.Annotate.Source do
       {first, _} -> first
       nil -> raise Error.new(:empty, "#{path} has no messages", fix: "give --origin")
     end
+  end
+
+  @doc "Returns the options that choose a layer that can be edited."
+  @spec layer_options() :: [Option.t()]
+  def layer_options do
+    [
+      Option.new(:stream, :string, "the layer (default: the only one)", short: :s, value: "NAME"),
+      session_option()
+    ]
+  end
+
+  @doc "Returns the store (without a version) and the stream of a layer that can be edited, or raises an error."
+  @spec find_layer!(Path.t(), keyword()) :: {Path.t(), String.t()}
+  def find_layer!(path, opts) do
+    if dataset?(path) do
+      dataset = open_dataset!(path)
+      session = choose_session!(dataset, opts[:session])
+      layers = session |> OpenSession.open() |> SessionLayers.list_layers()
+      names = for %{editable?: true, stream: stream} <- layers, do: stream
+
+      {Error.unwrap!(SessionLayers.store_path(dataset, session.name)),
+       choose_stream!(names, opts[:stream])}
+    else
+      names = path |> open!(nil) |> list_streams()
+      {String.replace(path, ~r/\.\d{4,}\/*$/, ""), choose_stream!(names, opts[:stream])}
+    end
+  end
+
+  defp choose_stream!([one], nil), do: one
+
+  defp choose_stream!([], _stream) do
+    raise Error.new(:no_layer, "the recording has no annotations that can be edited",
+            fix: "create one in the studio or with `situ annotate import`"
+          )
+  end
+
+  defp choose_stream!(names, nil) do
+    raise Error.new(:ambiguous_stream, "there are #{length(names)} layers",
+            fix: "choose one with --stream: #{Enum.join(names, ", ")}"
+          )
+  end
+
+  defp choose_stream!(names, name) do
+    if name in names,
+      do: name,
+      else:
+        raise(
+          Error.new(:no_layer, "layer #{inspect(name)} does not exist",
+            fix: "choose from: #{Enum.join(names, ", ")}"
+          )
+        )
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Dataset.Listing do
   @moduledoc false
   # Lists the contents of a dataset or of one session, as text or (`--json`) as JSON.
-  alias Situ.CLI.Output
+  alias Situ.CLI.{Output, TaskCode}
   alias Situ.Dataset
   alias Situ.Dataset.{OpenSession, Partition, Session, Summary}
   alias Situ.Time
@@ -49,6 +49,10 @@ defmodule Situ.CLI.Dataset.Listing do
 
     for {session, partition, error} <- unreadable_partitions(dataset, summaries),
         do: Output.warn("#{session}/#{partition}: #{error.what}")
+
+    outdated = TaskCode.list_outdated(dataset)
+    if outdated != [], do: Output.puts("Outdated (`situ dataset refresh` makes them again):")
+    Enum.each(outdated, &TaskCode.print_entry/1)
   end
 
   defp session_row(session, s) do

@@ -1,10 +1,11 @@
 defmodule Situ.CLI.Store.Maintenance do
   @moduledoc false
   # The verbs of `situ store` that change a store in place: verify, repair, compact, delete,
-  # rename.
+  # rename, move.
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
   alias Situ.CLI.Store.{Arguments, Repair}
+  alias Situ.Dataset.Relocation
   alias Situ.Store
 
   @store [
@@ -83,6 +84,30 @@ defmodule Situ.CLI.Store.Maintenance do
         arguments: [path: @store, name: [kind: :text, doc: "the new name"]],
         examples: ["situ store rename recordings/lobby.0000 entrance"],
         run: &rename_store/2
+      },
+      %Verb{
+        words: ["store", "move"],
+        summary: "move a store to another folder, with its segments, annotations and bookmarks",
+        about: """
+        The folder may be on another disk. Everything keeps its name. Datasets in the old and the new folder, in the
+        folders that contain them, and in the working directory then name the new path, as does each --dataset. If the
+        command is killed, the same command completes it; until then, the recording cannot be opened.
+        """,
+        arguments: [
+          path: @store,
+          folder: [kind: :file, doc: "the new folder; it is created if necessary"]
+        ],
+        options: [
+          Option.new(:dataset, :path, "a dataset file elsewhere that names the recording",
+            many?: true,
+            value: "FILE"
+          )
+        ],
+        examples: [
+          "situ store move recordings/lobby /archive/2026",
+          "situ store move recordings/lobby.0000 /archive --dataset ~/study.json"
+        ],
+        run: &move_store/2
       }
     ]
   end
@@ -119,6 +144,68 @@ defmodule Situ.CLI.Store.Maintenance do
     path = unwrap!(Store.rename(path, name))
     if opts[:json], do: Output.print_json(%{path: path}), else: Output.puts(path)
     0
+  end
+
+  defp move_store(%{path: path, folder: folder}, opts) do
+    command = self()
+    own = Enum.map(opts[:dataset] || [], &Path.expand/1)
+    files = own ++ (Relocation.list_dataset_files(nearby_folders(path, folder)) -- own)
+    finish = &relocate_datasets(files, own, &1, command)
+
+    moved =
+      Progress.with_progress("copy", opts, fn progress ->
+        unwrap!(Store.move(path, folder, progress: progress, finish: finish))
+      end)
+
+    changed = receive do: ({:relocated, changed} -> changed)
+
+    if opts[:json] do
+      Output.print_json(%{path: moved, datasets: changed})
+    else
+      Output.puts(moved)
+
+      for change <- changed,
+          do: Output.puts("#{change.dataset}: #{change.session}, #{change.partition}")
+    end
+
+    0
+  end
+
+  defp nearby_folders(path, folder) do
+    roots = [path |> Path.expand() |> Path.dirname(), Path.expand(folder)]
+    roots ++ Enum.map(roots, &Path.dirname/1) ++ [File.cwd!()]
+  end
+
+  # A dataset that the user has named must be changed. A file that was only found may be unreadable.
+  defp relocate_datasets(files, own, pairs, command) do
+    files
+    |> Enum.reduce_while({:ok, []}, fn file, {:ok, changed} ->
+      case Relocation.relocate_file(file, pairs) do
+        {:ok, moved} ->
+          found =
+            for {session, name} <- moved, do: %{dataset: file, session: session, partition: name}
+
+          {:cont, {:ok, changed ++ found}}
+
+        {:error, error} ->
+          skip_dataset(error, file, changed, file in own)
+      end
+    end)
+    |> case do
+      {:ok, changed} ->
+        send(command, {:relocated, changed})
+        :ok
+
+      error ->
+        error
+    end
+  end
+
+  defp skip_dataset(error, _file, _changed, true), do: {:halt, {:error, error}}
+
+  defp skip_dataset(error, file, changed, false) do
+    Output.warn("#{file} was not changed: #{error.what}")
+    {:cont, {:ok, changed}}
   end
 
   defp delete_store(%{path: path}, opts) do

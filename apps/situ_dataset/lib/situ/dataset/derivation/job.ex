@@ -6,7 +6,7 @@ defmodule Situ.Dataset.Derivation.Job do
   alias Situ.{Error, Pipeline, Store}
 
   @enforce_keys [:session, :compute]
-  defstruct [:session, :compute, :output, :path, :draft, options: [], settings: []]
+  defstruct [:session, :compute, :output, :path, :draft, :provenance, options: [], settings: []]
 
   @type compute :: module() | (Pipeline.t(), Importer.t(), Store.Exporter.t() | nil -> term())
   @type t :: %__MODULE__{}
@@ -21,6 +21,7 @@ defmodule Situ.Dataset.Derivation.Job do
       output: opts[:output],
       path: path,
       draft: path && StoreVersion.draft_path(path),
+      provenance: opts[:provenance] && opts[:provenance].(session),
       options: opts[:options],
       settings: Keyword.put_new(opts[:pipeline], :replay, speed: :max)
     }
@@ -41,6 +42,13 @@ defmodule Situ.Dataset.Derivation.Job do
     do: if(StoredPath.windows_path?(path), do: session_folder(rest), else: Path.dirname(path))
 
   defp session_folder([]), do: "."
+
+  @doc "Builds the partition of an output. The provenance is an additional field of the dataset file."
+  @spec build_partition(String.t(), Path.t(), map() | nil) :: Partition.t()
+  def build_partition(output, folder, nil), do: Partition.new(output, folder)
+
+  def build_partition(output, folder, provenance),
+    do: %{Partition.new(output, folder) | extra: %{"provenance" => provenance}}
 
   @doc "Runs the session in the calling process: sends its pipeline to the coordinator and exits with the result."
   @spec run(t(), pid()) :: no_return()

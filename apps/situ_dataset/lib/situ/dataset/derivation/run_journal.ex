@@ -14,16 +14,21 @@ defmodule Situ.Dataset.Derivation.RunJournal do
   @type t :: %__MODULE__{path: Path.t() | nil}
 
   @doc """
-  Opens the journal and returns it with the completed sessions of an earlier run, `%{session => folder}`. With
-  `overwrite:`, the results of a run that ended normally (with failed sessions) are ignored.
+  Opens the journal and returns it with the completed sessions of an earlier run, `%{session => {folder,
+  provenance}}`. With `overwrite:`, the results of a run that ended normally (with failed sessions) are ignored.
   """
-  @spec open(Path.t() | nil, String.t() | nil, keyword()) :: {t(), %{String.t() => Path.t()}}
+  @spec open(Path.t() | nil, String.t() | nil, keyword()) ::
+          {t(), %{String.t() => {Path.t(), map() | nil}}}
   def open(file, output, _opts) when file == nil or output == nil, do: {%__MODULE__{}, %{}}
 
   def open(file, output, opts) do
     path = "#{file}.#{String.replace(output, ~r/[^\w.-]/u, "_")}.run"
     lines = read_entries(path)
-    done = for %{"done" => session, "path" => folder} <- lines, into: %{}, do: {session, folder}
+
+    done =
+      for %{"done" => session, "path" => folder} = line <- lines,
+          into: %{},
+          do: {session, {folder, line["provenance"]}}
 
     for %{"begun" => _, "draft" => draft} <- lines,
         is_binary(draft),
@@ -54,8 +59,9 @@ defmodule Situ.Dataset.Derivation.RunJournal do
   @spec record_start(t(), String.t(), Path.t() | nil) :: :ok | {:error, Error.t()}
   def record_start(log, session, draft), do: append_entry(log, %{begun: session, draft: draft})
 
-  @spec record_done(t(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
-  def record_done(log, session, folder), do: append_entry(log, %{done: session, path: folder})
+  @spec record_done(t(), String.t(), {Path.t(), map() | nil}) :: :ok | {:error, Error.t()}
+  def record_done(log, session, {folder, provenance}),
+    do: append_entry(log, %{done: session, path: folder, provenance: provenance})
 
   @doc "Records that the run ended although some sessions were not completed."
   @spec record_end(t()) :: :ok | {:error, Error.t()}

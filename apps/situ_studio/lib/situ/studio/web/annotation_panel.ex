@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.AnnotationPanel do
     Schemas
   }
 
-  alias Situ.Studio.Web.{HistoryDialog, LayerWatch}
+  alias Situ.Studio.Web.{HistoryDialog, LayerWatch, TierDialog}
 
   @doc "Returns whether the item can have annotation layers and the studio may write them."
   @spec available?(map()) :: boolean()
@@ -116,6 +116,9 @@ defmodule Situ.Studio.Web.AnnotationPanel do
 
   defp apply_event("annotation_history" <> _ = event, params, socket),
     do: HistoryDialog.handle_layer(event, params, socket)
+
+  defp apply_event("annotation_tiers" <> _ = event, params, socket),
+    do: TierDialog.handle_event(event, params, socket)
 
   # A marker comments on a time or a range. Markers are an ordinary annotation stream of texts; a marker that overlaps
   # an earlier one goes to the next track.

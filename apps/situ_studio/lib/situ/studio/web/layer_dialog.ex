@@ -4,10 +4,10 @@ defmodule Situ.Studio.Web.LayerDialog do
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, connected?: 1, push_event: 3]
 
-  alias Situ.Annotation.Layer
+  alias Situ.Annotation.{Layer, TierText}
   alias Situ.Live.Socket
   alias Situ.Studio.{Annotations, Catalog}
-  alias Situ.Studio.Annotations.{Layers, Schemas, TierText}
+  alias Situ.Studio.Annotations.{Layers, Schemas}
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.Web.{AnnotationPanel, SourceList}
 

@@ -36,7 +36,8 @@ defmodule Situ.Studio.Web.MainView do
     HistoryDialog,
     Sidebars,
     StreamTree,
-    SharedCursors
+    SharedCursors,
+    TierDialog
   }
 
   @refresh_ms 2_000
@@ -327,6 +328,7 @@ defmodule Situ.Studio.Web.MainView do
           snap={@snap} />
       <LayerDialog.dialog :if={match?({:layers, _}, @dialog)} {elem(@dialog, 1)} />
       <SchemaDialog.dialog :if={match?({:schema, _, _}, @dialog)} draft={elem(@dialog, 1)} error={elem(@dialog, 2)} />
+      <TierDialog.dialog :if={match?({:tiers, _}, @dialog)} {elem(@dialog, 1)} />
       <HistoryDialog.history_dialog :if={match?({:history, _, _}, @dialog)} entries={elem(@dialog, 1)}
           restore={elem(@dialog, 2)} />
       <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />

@@ -1,11 +1,10 @@
 defmodule Situ.Studio.Annotations.RequestTest do
   use ExUnit.Case, async: true
   alias Situ.Annotation
-  alias Situ.Annotation.{Layer, Schema}
-  alias Situ.Studio.Annotations.{Request, TierList, TierText}
+  alias Situ.Annotation.{Layer, Schema, TierText}
+  alias Situ.Studio.Annotations.{Request, TierList}
 
   doctest TierList
-  doctest TierText
 
   defp layer do
     {:ok, schema} = TierText.parse_schema("Talk", "Utterance\nWords in Utterance")

@@ -4,6 +4,8 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
+  alias Situ.Dataset
+  alias Situ.Dataset.Session
   alias Situ.Live.Socket
   alias Situ.Studio.BatchRuns
   alias Situ.Studio.BatchRuns.{SavedOptions, Form, ResumableRuns}
@@ -24,18 +26,31 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
             Rows.visible_rows(assigns.dataset, assigns.facts, assigns.open, assigns.query),
           do: name
 
+    {config, output} = find_earlier_run(task, path, assigns.dataset)
+
     %{
       task: task,
       sessions: found,
       chosen: if(path == [], do: found, else: Enum.take(path, 1)),
-      config: %{},
-      output: task.output,
+      config: config,
+      output: output,
       saved: SavedOptions.list_all(assigns.folder, task.name),
       picked: "",
       again: 0,
       error: nil
     }
   end
+
+  # For a partition that this task has made, the dialog offers to make it again with the same options.
+  defp find_earlier_run(%{name: task} = about, [session, partition | _], dataset) do
+    with {:ok, session} <- Dataset.session(dataset, session),
+         {:ok, %{extra: %{"provenance" => %{"task" => ^task, "options" => %{} = options}}}} <-
+           Session.fetch_partition(session, partition),
+         do: {options, partition},
+         else: (_ -> {%{}, about.output})
+  end
+
+  defp find_earlier_run(about, _path, _dataset), do: {%{}, about.output}
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_event("run_cancel", %{"run" => run}, socket) do

@@ -203,12 +203,24 @@ defmodule Situ.Studio.Web.Dataset.Components do
     [
       {"Recording", partition.path},
       {"Reader", partition.reader},
+      {"Made by", describe_origin(partition.extra["provenance"])},
       {"Checksum", partition.checksum},
       {"Trouble", facts.error && Exception.message(facts.error)},
       {"Live", facts.live && "being recorded"}
     ]
     |> Enum.filter(&elem(&1, 1))
   end
+
+  # A dataset file can contain any JSON here.
+  defp describe_origin(%{"task" => task, "at" => at, "options" => %{} = options})
+       when is_binary(task) and is_binary(at) do
+    shown =
+      Enum.map_join(options, ", ", fn {name, value} -> "#{name}: #{Situ.JSON.encode(value)}" end)
+
+    if shown == "", do: "#{task}, #{at}", else: "#{task} (#{shown}), #{at}"
+  end
+
+  defp describe_origin(_), do: nil
 
   defp stream_rows(stream) do
     [

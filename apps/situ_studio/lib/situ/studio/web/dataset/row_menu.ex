@@ -74,10 +74,11 @@ defmodule Situ.Studio.Web.Dataset.RowMenu do
       ]
   end
 
-  defp menu_items(%{kind: :partition, path: [session, _] = path} = row, id, _tasks) do
+  defp menu_items(%{kind: :partition, path: [session, _] = path} = row, id, tasks) do
     open_items(id, path) ++
+      [event_item("Properties", "select", row), "-"] ++
+      task_items(row, tasks) ++
       [
-        event_item("Properties", "select", row),
         "-",
         event_item("Save a section as a recording…", "export", row),
         event_item("Rename…", "ask", row, %{what: "rename"}),

@@ -1,7 +1,7 @@
-defmodule Situ.Studio.Annotations.TierText do
+defmodule Situ.Annotation.TierText do
   @moduledoc false
-  # Parses the tiers of a new layer from text, one line per tier: its name, its relation to a parent, and its values.
-  alias Situ.Annotation.Schema
+  # Parses tiers from text, one line per tier: its name, its relation to a parent, and its values.
+  alias Situ.Annotation.{Schema, Tier}
 
   @relations [
     {" parts of ", "symbolic_subdivision"},
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Annotations.TierText do
   `A of B` is one annotation for each of B. A tier has texts, or the values after a colon.
 
       iex> text = "Utterance\\nWords in Utterance\\nKind of Words: noun, verb"
-      iex> {:ok, schema} = Situ.Studio.Annotations.TierText.parse_schema("Speech", text)
+      iex> {:ok, schema} = Situ.Annotation.TierText.parse_schema("Speech", text)
       iex> for tier <- schema.tiers, do: {tier.name, tier.relation, tier.parent}
       [{"Utterance", nil, nil}, {"Words", :included_in, "Utterance"}, {"Kind", :symbolic_association, "Words"}]
       iex> Enum.map(List.last(schema.attributes).values, & &1.value)
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Annotations.TierText do
   """
   @spec parse_schema(String.t(), String.t()) :: {:ok, Schema.t()} | {:error, Situ.Error.t()}
   def parse_schema(name, text) do
-    lines = for line <- String.split(text, "\n"), String.trim(line) != "", do: parse_line(line)
+    lines = for line <- String.split(text, "\n"), String.trim(line) != "", do: parse_tier(line)
 
     Schema.parse(%{
       "name" => name,
@@ -32,18 +32,31 @@ defmodule Situ.Studio.Annotations.TierText do
     })
   end
 
-  defp parse_line(line) do
+  @doc "Parses one line to the JSON forms of an attribute and of its tier."
+  @spec parse_tier(String.t()) :: {attribute :: map(), tier :: map()}
+  def parse_tier(line) do
     {head, values} = split_once(line, ":")
     {name, parent, relation} = parse_relation(String.trim(head))
     tier = %{"name" => name, "attribute" => name, "parent" => parent, "relation" => relation}
 
-    case for value <- String.split(values, ","),
-             value = String.trim(value),
-             value != "",
-             do: value do
+    case split_values(values) do
       [] -> {%{"name" => name, "kind" => "text"}, tier}
       values -> {%{"name" => name, "kind" => "finite", "values" => values}, tier}
     end
+  end
+
+  @doc "Splits the values of a vocabulary at commas."
+  @spec split_values(String.t()) :: [String.t()]
+  def split_values(text),
+    do: text |> String.split(",") |> Enum.map(&String.trim/1) |> Enum.reject(&(&1 == ""))
+
+  @doc "Describes a tier without its values, as `parse_tier/1` reads it."
+  @spec format_tier(Tier.t()) :: String.t()
+  def format_tier(%Tier{parent: nil, name: name}), do: name
+
+  def format_tier(%Tier{} = tier) do
+    {word, _} = Enum.find(@relations, &(elem(&1, 1) == Atom.to_string(tier.relation)))
+    tier.name <> word <> tier.parent
   end
 
   defp split_once(text, mark) do
