@@ -30,8 +30,9 @@ defmodule Situ.Cluster do
 
   ## When a node is lost
 
-  Each part has a lease in the log, which its node renews every quarter of `lease:`. When the renewals stop, or
-  earlier when Erlang reports the node down, another node takes the part over. It fences the part's streams, so that
+  Each part has a lease in the log, which depends on a lease of its node. The node renews it every quarter of `lease:`,
+  for all of its parts together. When the renewals stop, or earlier when Erlang reports the node down, another node
+  takes the part over. It fences the part's streams, so that
   the old node can no longer write even if it is still alive, starts the part from its last checkpoint and reads its
   inputs from that position. Values and originating times are the same as without the loss:
 

@@ -15,7 +15,7 @@ defmodule Situ.Cluster.Agent do
     Runners
   }
 
-  alias Situ.Cluster.{Placement, SealedLog, NodeMetrics}
+  alias Situ.Cluster.{NodeLease, NodeLeaseWatcher, Placement, SealedLog, NodeMetrics}
 
   require Logger
 
@@ -110,6 +110,9 @@ defmodule Situ.Cluster.Agent do
     :ok = :net_kernel.monitor_nodes(true)
     :ok = LogLines.start_handler()
     :ok = Member.create_table()
+    :ok = NodeLeaseWatcher.create_table()
+    {:ok, _} = NodeLeaseWatcher.start_link(opts[:log])
+    {:ok, _} = NodeLease.start_link({opts[:log], &NodeLease.report_renewal/2})
     {:ok, _} = NodeMetrics.start_link(opts[:devices] || [])
     for {module, arg} <- opts[:companions] || [], do: {:ok, _} = module.start_link(arg)
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
@@ -229,6 +232,11 @@ defmodule Situ.Cluster.Agent do
 
   def handle_cast({:lease, part, seq, owner}, state) do
     with %{^part => runner} <- state.runners, do: send(runner, {:situ_lease, seq, owner})
+    {:noreply, state}
+  end
+
+  def handle_cast({:node_lease, reference, seq}, state) do
+    :ok = NodeLeaseWatcher.note_renewal(reference, seq)
     {:noreply, state}
   end
 

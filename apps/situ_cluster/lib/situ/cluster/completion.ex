@@ -10,6 +10,8 @@ defmodule Situ.Cluster.Completion do
   @spec await_parts(Log.t(), Deployment.t(), [String.t()], integer() | :infinity) ::
           :ok | {:error, Error.t()}
   def await_parts(log, deployment, parts, deadline) do
+    started = monotonic_ms()
+
     states =
       for part <- parts,
           do: {part, Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})}
@@ -39,14 +41,16 @@ defmodule Situ.Cluster.Completion do
         {:error, timeout_error(deployment, hd(unfinished))}
 
       true ->
-        await_again(log, deployment, unfinished, deadline)
+        # With many parts or a slow log, most of the time passes without reading.
+        wait_ms((4 * (monotonic_ms() - started)) |> max(50) |> min(2_000))
+        await_parts(log, deployment, unfinished, deadline)
     end
   end
 
-  defp await_again(log, deployment, parts, deadline) do
+  defp wait_ms(ms) do
     receive do
     after
-      50 -> await_parts(log, deployment, parts, deadline)
+      ms -> :ok
     end
   end
 

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Member do
   #   {:situ_cluster, :follow, part, pid}            an inlet asks for the publisher of a part
   #   {:situ_cluster, :publisher, part, publisher}   the reply, immediately and whenever the publisher changes
 
-  alias Situ.Cluster.{Agent, Deployment, Placement, NodeMetrics}
+  alias Situ.Cluster.{Agent, Deployment, NodeLease, Placement, NodeMetrics}
   alias Situ.Error
 
   @table __MODULE__
@@ -86,12 +86,20 @@ defmodule Situ.Cluster.Member do
   end
 
   @doc """
-  Reports to the runners of a part on all other nodes that this node has written or released its lease. Skips nodes
+  Reports to the runners of a part on all other nodes that this node has acquired or released its lease. Skips nodes
   that cannot receive immediately, since they also read the log.
   """
   @spec report_lease(part(), pos_integer() | :free) :: :ok
   def report_lease(part, seq) do
     message = {:"$gen_cast", {:lease, part, seq, Atom.to_string(node())}}
+    for node <- Node.list(), do: :erlang.send({Agent, node}, message, [:nosuspend, :noconnect])
+    :ok
+  end
+
+  @doc "Reports to all other members that this node has renewed its lease under the number `seq`."
+  @spec report_node_lease(NodeLease.t(), pos_integer()) :: :ok
+  def report_node_lease(reference, seq) do
+    message = {:"$gen_cast", {:node_lease, reference, seq}}
     for node <- Node.list(), do: :erlang.send({Agent, node}, message, [:nosuspend, :noconnect])
     :ok
   end

@@ -4,6 +4,7 @@ defmodule Situ.Cluster.Retention do
   # deployment remains after its end, so that it can still be read. It takes disk space and, on a NATS server, two
   # open files per stream. Nothing is deleted automatically: see `Situ.Cluster.list_log_usage/0` and
   # `Situ.Cluster.prune/2`.
+  alias Situ.Cluster.Lease
   alias Situ.Error
   alias Situ.Cluster.Log
   alias Situ.Cluster.Log.Entry
@@ -68,21 +69,34 @@ defmodule Situ.Cluster.Retention do
     }
   end
 
-  # Returns the numbers of the leases, and the longest duration of a lease (ms). The numbers change while any node
-  # runs a part of the deployment or serves its streams, since the owner writes a lease every quarter of its duration.
+  # Returns the numbers of the leases and of their renewals, and the longest duration of a lease (ms). The numbers
+  # change while any node runs a part of the deployment or serves its streams, since the owner's node renews its lease
+  # every quarter of that duration.
   defp read_leases(log, usage) do
     keys = for {:key, "lease." <> _} = subject <- usage.subjects, do: subject
 
     Enum.reduce_while(keys, {:ok, %{}, 0}, fn key, {:ok, seqs, longest} ->
       case Log.fetch_last(log, key) do
+        {:ok, nil} ->
+          {:cont, {:ok, Map.put(seqs, key, nil), longest}}
+
         {:ok, entry} ->
           longest = max(longest, Entry.head_integer(entry, "Ms", 0))
-          {:cont, {:ok, Map.put(seqs, key, entry && entry.seq), longest}}
+          {:cont, {:ok, Map.put(seqs, key, {entry.seq, read_renewal(log, entry)}), longest}}
 
         {:error, error} ->
           {:halt, {:error, error}}
       end
     end)
+  end
+
+  # A node that was restarted since does not renew this lease.
+  defp read_renewal(log, entry) do
+    with %{key: key, session: session} <- Lease.node_lease(entry),
+         {:ok, %Entry{seq: seq, head: %{"Session" => ^session}}} <-
+           Log.fetch_last(log, {:key, key}),
+         do: seq,
+         else: (_ -> nil)
   end
 
   @doc "Finds a deployment by its name."

@@ -93,27 +93,26 @@ defmodule Situ.Cluster.Runner do
   # The following functions handle the standby phase.
 
   @impl true
-  def handle_info(:check, %{phase: :standby, standby: standby} = state) do
-    with rank when rank != nil <- Member.own_rank(part_rule(state), state.part),
-         {:ok, reading} <- Lease.read_lease(state.log, log_key(state, "lease")),
-         {:take, standby} <- Standby.judge_reading(standby, reading, rank),
-         {:ok, epoch} <- take_lease(state, reading) do
-      log_takeover(state, elem(reading, 1))
-      {:noreply, start_owning(%{state | standby: standby, epoch: epoch})}
-    else
-      {:wait, standby} -> {:noreply, %{state | standby: Standby.schedule_next_check(standby)}}
-      _ -> {:noreply, %{state | standby: Standby.schedule_next_check(standby)}}
+  def handle_info(:check, %{phase: :standby} = state) do
+    case Standby.note_node_renewal(state.standby) do
+      {true, standby} -> {:noreply, %{state | standby: Standby.schedule_late_check(standby)}}
+      {false, standby} -> {:noreply, check_lease(%{state | standby: standby})}
     end
   end
 
   def handle_info(:check, state), do: {:noreply, state}
 
-  # The owner has renewed its lease.
+  # The owner has written its lease.
   def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
     do: {:noreply, %{state | standby: Standby.note_renewal(state.standby, seq, owner)}}
 
   def handle_info({:situ_lease, :free, _owner}, %{phase: :standby} = state),
-    do: {:noreply, %{state | standby: Standby.schedule_check(state.standby, 0)}}
+    do: {:noreply, %{state | standby: Standby.note_release(state.standby)}}
+
+  # Another node has acquired the lease after this one.
+  def handle_info({:situ_lease, seq, _owner}, %{phase: phase, epoch: epoch} = state)
+      when phase in [:running, :done] and is_integer(seq) and seq > epoch,
+      do: {:noreply, step_down(state, {:shutdown, :lease_lost})}
 
   def handle_info(:checkpoint, %{phase: :running} = state) do
     Process.send_after(self(), :checkpoint, div(state.deployment.checkpoint, 1_000_000))
@@ -189,7 +188,7 @@ defmodule Situ.Cluster.Runner do
   def handle_call(:restart, _from, %{phase: :running} = state) do
     state = state |> take_checkpoint() |> release_and_wait()
 
-    with {:ok, reading} <- Lease.read_lease(state.log, log_key(state, "lease")),
+    with {:ok, reading} <- read_lease(state),
          {:ok, epoch} <- take_lease(state, reading) do
       case start_owning(%{state | epoch: epoch}, &{:refused, &1, &2}) do
         {:refused, state, error} -> {:reply, {:error, error}, release_and_wait(state)}
@@ -208,6 +207,22 @@ defmodule Situ.Cluster.Runner do
 
   # A component fails when it can no longer publish; the exit of the publisher gives the reason.
   defp publisher_ended?(%{publisher: publisher}), do: not Process.alive?(publisher)
+
+  defp check_lease(%{standby: standby} = state) do
+    with rank when rank != nil <- Member.own_rank(part_rule(state), state.part),
+         {:ok, reading} <- read_lease(state),
+         {:take, standby} <- Standby.judge_reading(standby, reading, rank),
+         {:ok, epoch} <- take_lease(state, reading) do
+      log_takeover(state, elem(reading, 1))
+      start_owning(%{state | standby: standby, epoch: epoch})
+    else
+      {:wait, standby} -> %{state | standby: Standby.schedule_next_check(standby)}
+      _ -> %{state | standby: Standby.schedule_next_check(standby)}
+    end
+  end
+
+  defp read_lease(state),
+    do: Lease.read_lease(state.log, log_key(state, "lease"), Standby.max_age(state.standby))
 
   # The following functions handle the phase in which this node has the lease.
 
@@ -251,6 +266,7 @@ defmodule Situ.Cluster.Runner do
 
   defp stand_by(state, reason) do
     Logger.warning("#{part_name(state)}: takeover failed: #{explain_reason(reason)}")
+    {:ok, _} = Lease.release_later(state.log, log_key(state, "lease"), state.epoch)
     %{state | epoch: nil, standby: Standby.resume_after_loss(state.standby)}
   end
 
@@ -355,6 +371,7 @@ defmodule Situ.Cluster.Runner do
 
   defp step_down(state, reason) do
     Logger.warning("#{part_name(state)} continues on another node: #{explain_reason(reason)}")
+    {:ok, _} = Lease.release_later(state.log, log_key(state, "lease"), state.epoch)
     %{PartProcesses.kill_all(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
@@ -378,6 +395,8 @@ defmodule Situ.Cluster.Runner do
   @impl true
   def terminate(_reason, state) do
     PartProcesses.kill_all(state)
+    # The node may continue to renew its lease for other parts.
+    if state.epoch, do: Lease.release(state.log, log_key(state, "lease"), state.epoch)
     :ok
   end
 end

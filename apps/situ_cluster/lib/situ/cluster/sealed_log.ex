@@ -71,6 +71,7 @@ defmodule Situ.Cluster.SealedLog do
   # An intruder who repeats the entry of a lease only delays a takeover: a lease contains no data, its number is the
   # epoch, and numbers only increase. Leases are read too often for a second read each time.
   defp check_previous(_log, {:key, "lease." <> _}, _follows, entry), do: {:ok, entry}
+  defp check_previous(_log, {:key, "node_lease." <> _}, _follows, entry), do: {:ok, entry}
 
   # Logs keep the last two entries of a key, and an entry names the one before it.
   defp check_previous(log, subject, follows, entry) do

@@ -1,20 +1,23 @@
 defmodule Situ.Cluster.Standby do
   @moduledoc false
   # Holds the state of a node that waits for a part it does not run: the last known lease, the time of the next look
-  # at it, and the number of nodes that may take the part first. The owner reports each renewal of its lease to the
-  # other nodes (`Situ.Cluster.Member`). A node therefore looks at the log only when two renewals are missing, or
+  # at it, and the number of nodes that may take the part first. Each node reports the renewals of its lease to the
+  # other nodes (`Situ.Cluster.NodeLease`). A node therefore looks at the log only when two renewals are missing, or
   # when it has no connection to the owner.
-  alias Situ.Cluster.{Backoff, Lease}
+  alias Situ.Cluster.{Backoff, Lease, NodeLeaseWatcher}
 
   # A drained node waits as if this many nodes were preferred to it.
   @demotion_weight 10
 
+  # A report of an acquired or released lease may be lost, so the log is read this rarely, in multiples of the lease.
+  @look_factor 16
+
   @enforce_keys [:ms]
-  defstruct [:ms, :timer, :previous, lease: %Lease{}, backoff: %Backoff{}, demotion: 0]
+  defstruct [:ms, :timer, :previous, lease: %Lease{}, backoff: %Backoff{}, demotion: 0, wait: 0]
 
   @typedoc """
   `ms`: the duration of the lease; `demotion`: the demotion level of the node; `previous`: the monitor of the process
-  for whose lifetime that level applies, and the level before that.
+  for whose lifetime that level applies, and the level before that; `wait`: how long preferred nodes come first (ms).
   """
   @type t :: %__MODULE__{
           ms: pos_integer(),
@@ -22,7 +25,8 @@ defmodule Situ.Cluster.Standby do
           previous: {reference(), non_neg_integer()} | nil,
           lease: Lease.t(),
           backoff: Backoff.t(),
-          demotion: non_neg_integer()
+          demotion: non_neg_integer(),
+          wait: non_neg_integer()
         }
 
   @spec new(Situ.Time.duration()) :: t()
@@ -42,7 +46,7 @@ defmodule Situ.Cluster.Standby do
         wait: wait
       })
 
-    {decision, %{standby | lease: lease}}
+    {decision, %{standby | lease: lease, wait: wait}}
   end
 
   @doc "Records that the owner has written its lease under this number."
@@ -54,9 +58,38 @@ defmodule Situ.Cluster.Standby do
         div(ms, 2)
       )
 
+  @doc "Records that the owner has released the lease, so that this node looks at the log immediately."
+  @spec note_release(t()) :: t()
+  def note_release(%__MODULE__{lease: lease} = standby),
+    do: schedule_check(%{standby | lease: %{lease | renewal: nil}}, 0)
+
+  @doc """
+  Returns whether the owner's node has recently reported a renewal, so that this node need not look at the log, and
+  takes note of it.
+  """
+  @spec note_node_renewal(t()) :: {boolean(), t()}
+  def note_node_renewal(%__MODULE__{ms: ms, lease: %{renewal: {reference, _}}} = standby) do
+    renewal = NodeLeaseWatcher.known_renewal(reference)
+    lease = Lease.note_node_renewal(standby.lease, renewal)
+    now = monotonic_ms()
+
+    recent? =
+      renewal != nil and now - renewal.at <= div(ms, 2) and not lease.owner_down? and
+        now - lease.looked_at < look_interval(ms)
+
+    {recent?, %{standby | lease: lease}}
+  end
+
+  def note_node_renewal(standby), do: {false, standby}
+
+  # The runners of a node look at different times.
+  defp look_interval(ms),
+    do: @look_factor * ms + rem(:erlang.phash2(self()), @look_factor * ms)
+
   @doc "Records that a node was reported down."
   @spec note_node_down(t(), node()) :: t()
   def note_node_down(%__MODULE__{} = standby, node) do
+    {_recent?, standby} = note_node_renewal(standby)
     standby = %{standby | lease: Lease.note_node_down(standby.lease, node)}
     if standby.lease.owner_down?, do: schedule_check(standby, 0), else: standby
   end
@@ -70,10 +103,29 @@ defmodule Situ.Cluster.Standby do
   @spec restart_wait(t()) :: t()
   def restart_wait(%__MODULE__{} = standby), do: schedule_next_check(%{standby | lease: %Lease{}})
 
-  @doc "Sends this process `:check` after a delay, which is longer if the log responds slowly."
+  @doc """
+  Sends this process `:check` after a delay, which is longer if the log responds slowly, or if other nodes may take a
+  free lease first.
+  """
   @spec schedule_next_check(t()) :: t()
-  def schedule_next_check(%__MODULE__{ms: ms, lease: lease} = standby),
-    do: schedule_check(standby, max(poll_interval(ms), min(4 * lease.read_ms, ms)))
+  def schedule_next_check(%__MODULE__{ms: ms, lease: lease} = standby) do
+    delay = max(4 * lease.read_ms, wait_left(standby))
+    schedule_check(standby, max(poll_interval(ms), min(delay, ms)))
+  end
+
+  @doc "Sends this process `:check` after half a lease, since the owner's node is alive."
+  @spec schedule_late_check(t()) :: t()
+  def schedule_late_check(%__MODULE__{ms: ms} = standby), do: schedule_check(standby, div(ms, 2))
+
+  defp wait_left(%{lease: %{seq: seq, owner: owner, since: since}, wait: wait})
+       when since != nil and (seq == 0 or owner == ""),
+       do: since + wait - monotonic_ms()
+
+  defp wait_left(_standby), do: 0
+
+  @doc "Returns how old (ms) the known renewal of the owner's node may be when the lease is read."
+  @spec max_age(t()) :: pos_integer()
+  def max_age(%__MODULE__{ms: ms}), do: poll_interval(ms)
 
   @doc "Sends this process `:check` in `ms`, and cancels an earlier timer."
   @spec schedule_check(t(), non_neg_integer()) :: t()

@@ -13,7 +13,7 @@ defmodule Situ.Experiment.TaskProvenance do
   @typedoc "The module of a task, with the modules that were compiled from its file."
   @type task :: {module(), %{module() => binary()}}
 
-  @typedoc "A partition, how to make it again, and what has changed since: `:code`, `:inputs`, or `:no_task`."
+  @typedoc "A partition, how to make it again, and the changes since then: `:code`, `:inputs`, or `:no_task`."
   @type entry :: %{
           session: String.t(),
           partition: String.t(),

@@ -242,7 +242,7 @@ defmodule Situ.Store.Maintenance do
     end
   end
 
-  @doc "Returns the folders of a recording, or an error if one of them is being written."
+  @doc "Returns the folders of a recording, or an error if a folder is being written."
   @spec list_idle_folders(Path.t()) :: {:ok, [Path.t()]} | {:error, Error.t()}
   def list_idle_folders(path) do
     if Segments.segmented?(path) do

@@ -19,7 +19,7 @@ defmodule Situ.Store.Moving do
     Segments
   }
 
-  # The studio's files next to a recording have names that begin with the recording's name and one of these.
+  # The studio's files next to a recording have names that begin with the recording's name and an ending of this list.
   @companions ["-annotation-", ".bookmarks"]
   @lock_ms 5_000
   @options [
