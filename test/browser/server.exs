@@ -2,6 +2,7 @@
 # or with a signal.
 Code.require_file("fixture.exs", __DIR__)
 Code.require_file("random_fixture.exs", __DIR__)
+Code.require_file("window_fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
 Code.require_file("sensor_fixture.exs", __DIR__)
 Code.require_file("headset_fixture.exs", __DIR__)
@@ -20,6 +21,7 @@ alias Situ.Studio.{History, Recordings}
 folder = Path.join(work, "recordings")
 points = String.to_integer(System.get_env("POINTS") || "1000000")
 random = Path.join(work, "random.json")
+windows = Path.join(work, "windows.json")
 
 File.mkdir_p!(folder)
 
@@ -30,6 +32,7 @@ recordings =
       fn -> Fixture.record_big("big", folder, points) end,
       fn -> Fixture.record("minute", folder) end,
       fn -> RandomFixture.record(folder, random, 4) end,
+      fn -> WindowFixture.record(folder, windows) end,
       fn -> SpaceFixture.record("space", folder) end,
       fn -> Fixture.film(folder) end,
       fn -> Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json")) end,
@@ -362,6 +365,7 @@ IO.puts(
       "headset" => worn,
       "folder" => folder,
       "random" => random,
+      "windows" => windows,
       "zoo" => Path.join(work, "zoo.json"),
       "dense" => Path.join(work, "dense.json"),
       "stop" => Path.join(work, "stop"),

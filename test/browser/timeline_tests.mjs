@@ -278,7 +278,8 @@ test("3 timelines: the properties set the color and the joins of a line", async 
   const blue = () => count(page, `#${id} canvas`, own, 30),
     magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
   const joined = await blue();
-  await page.click(`[data-panel="${panel}"] button[title='Properties']`);
+  // The panel may be in tabs, whose strip has its buttons.
+  await page.click(`[phx-click='select_panel'][phx-value-id='${panel}'][title='Properties']`);
   await page.selectOption(`#f-${panel}-0-interpolation`, "none");
   await until(
     page,

@@ -30,6 +30,8 @@ const space = {
 const video = { ...space, entryPoints: [{ in: "js/video/index.js", out: "video" }] };
 // The graph of a pipeline and its layout are loaded by the page that shows it.
 const graph = { ...space, entryPoints: [{ in: "js/pipeline/graph.js", out: "graph" }] };
+// The script of exported pages, which contains the data and the panels but no LiveView.
+const offline = { ...options, entryPoints: [{ in: "js/offline/index.js", out: "offline" }] };
 // The worker that computes spectra in its own thread.
 const worker = {
   ...options,
@@ -48,9 +50,9 @@ const sensor = {
 for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
 
 if (process.argv.includes("--watch")) {
-  for (const o of [options, space, video, graph, worker, sensor]) await (await esbuild.context(o)).watch();
+  for (const o of [options, space, video, graph, offline, worker, sensor]) await (await esbuild.context(o)).watch();
 } else {
-  await Promise.all([options, space, video, graph, worker, sensor].map((o) => esbuild.build(o)));
+  await Promise.all([options, space, video, graph, offline, worker, sensor].map((o) => esbuild.build(o)));
   for (const f of [
     "studio.js",
     "studio.css",

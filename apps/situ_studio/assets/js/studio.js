@@ -24,7 +24,8 @@ import { formatAbsolute } from "./time/text.js";
 import { onClock, setSelectionStart } from "./time/clock.js";
 
 export class Studio {
-  // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, start, push, moved}
+  // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, start, push, moved}; an exported page,
+  // which has no server: {offline, connect, decode, fetchPcm, loadSpace, menuItems, allows}
   constructor(root, options) {
     this.root = root;
     this.options = options;
@@ -43,7 +44,8 @@ export class Studio {
     if (!readSetting("follow")) this.time.dispatch({ type: "follow" });
     this.frames = new Frames(this.time);
     this.client = new DataClient({
-      connect: () => new WebSocket(options.dataUrl()),
+      connect: options.connect ?? (() => new WebSocket(options.dataUrl())),
+      decode: options.decode,
       time: this.time,
       onStatus: (s) => this.connection.setStatus(s),
       onReply: (r) => this.handleReply(r),
@@ -51,12 +53,13 @@ export class Studio {
     this.playback = new Playback({
       time: this.time,
       sounds: () => listAudible(this.frames.views),
-      fetchPcm: (sound, a, b) => fetchAudio(options.pcmUrl(), this.client, sound, a, b),
+      fetchPcm: options.fetchPcm ?? ((sound, a, b) => fetchAudio(options.pcmUrl(), this.client, sound, a, b)),
       onError: showToast,
     });
     this.address = new Address({
       time: this.time,
       client: this.client,
+      fixed: options.offline === true,
       facts: () => ({ ...this.options, snap: this.client.snap, compare: this.compare }),
       moved: (href) => {
         options.moved?.(href);
@@ -64,7 +67,7 @@ export class Studio {
       },
     });
     this.gutter = new Gutter(() => this.redrawAll());
-    this.menu = new Menu(document.body, (target, e) => menuItems(this, target, e));
+    this.menu = new Menu(document.body, (target, e) => (options.menuItems ?? menuItems)(this, target, e));
     onClock(() => this.redrawAll());
     this.header = new Header(root, () => this.client.origin);
     this.connection = new Connection(this.header, showToast);
@@ -174,6 +177,7 @@ export class Studio {
 
   // Runs an action of a toolbar button, a key or the palette.
   runAction(name) {
+    if (!this.allows(name)) return;
     const s = this.time.get();
     if (name === "live" && s.mode !== "live" && !this.growing) {
       return showToast("This recording has ended: there is nothing to follow live");
@@ -185,6 +189,9 @@ export class Studio {
     if (action) return this.time.dispatch(action);
     commands[name]?.(this);
   }
+
+  // Returns whether the page has an action; an exported page has none that need a server.
+  allows = (name) => this.options.allows?.(name) ?? true;
 
   // Steps to the previous or next message of the snapped stream, one step after the other.
   stepMessage(name) {

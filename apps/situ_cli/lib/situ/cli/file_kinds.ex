@@ -6,6 +6,14 @@ defmodule Situ.CLI.FileKinds do
   alias Situ.CLI.{Output, Recording, Verb}
   alias Situ.Recording.{FileKind, Formats}
 
+  # Pages are written by the studio, which only the command line knows.
+  @page %FileKind{
+    name: :html,
+    title: "HTML page that opens without a server",
+    extensions: [".html"],
+    export: [".html"]
+  }
+
   @impl true
   def verbs do
     [
@@ -72,16 +80,17 @@ defmodule Situ.CLI.FileKinds do
   @spec list_kinds() :: [FileKind.t()]
   def list_kinds do
     Recording.load_formats([])
-    Formats.list_kinds()
+    Formats.list_kinds() ++ [@page]
   end
 
   @doc "Lists the kinds that `situ store save` writes."
   @spec list_exports() :: [FileKind.t()]
   def list_exports, do: Enum.filter(list_kinds(), &(&1.export != []))
 
-  @doc "Returns the values of `--format`."
+  @doc "Returns the values of `--format`. Pages are known by their extension."
   @spec export_words() :: [String.t()]
-  def export_words, do: for(kind <- list_exports(), do: Atom.to_string(kind.name))
+  def export_words,
+    do: for(kind <- list_exports(), kind != @page, do: Atom.to_string(kind.name))
 
   @doc "Returns the name of the kind for a value of `--format`, or `nil`."
   @spec find_export(String.t() | nil) :: atom()

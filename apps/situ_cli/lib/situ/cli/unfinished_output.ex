@@ -25,11 +25,11 @@ defmodule Situ.CLI.UnfinishedOutput do
     start_shell(Path.join(root, name), "")
   end
 
-  @doc "Removes the temporary file FILE.unfinished of `file` when this program exits."
-  @spec remove_file_at_exit(Path.t()) :: :ok
-  def remove_file_at_exit(file) do
+  @doc "Removes the temporary file FILE.unfinished of `file`, with an extension, when this program exits."
+  @spec remove_file_at_exit(Path.t(), String.t()) :: :ok
+  def remove_file_at_exit(file, extension \\ "") do
     file = Path.expand(file)
-    start_shell(file, file <> ".unfinished")
+    start_shell(file, file <> ".unfinished" <> extension)
   end
 
   defp start_shell(base, file) do

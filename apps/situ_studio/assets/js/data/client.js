@@ -33,12 +33,14 @@ export class DataClient {
    * @param {object} options
    * @param {() => WebSocket} options.connect returns a WebSocket or an object like it
    * @param {any} options.time the time store
+   * @param {(data: any) => import("./wire.js").Reply} [options.decode]
    * @param {(name: string) => void} [options.onStatus]
    * @param {(reply: import("./wire.js").Reply) => void} [options.onReply]
    */
-  constructor({ connect, time, onStatus = () => {}, onReply = () => {} }) {
+  constructor({ connect, time, decode = decodeReply, onStatus = () => {}, onReply = () => {} }) {
     this.connect = connect;
     this.time = time;
+    this.decode = decode;
     this.onStatus = onStatus;
     this.onReply = onReply;
     /** @type {Map<number, import("./channels.js").Channel>} */
@@ -190,14 +192,14 @@ export class DataClient {
     const asked = this.inflight;
     let reply;
     try {
-      reply = decodeReply(buffer);
+      reply = this.decode(buffer);
     } catch (error) {
       this.inflight = null;
       this.onStatus("broken");
       console.error(error);
       return;
     }
-    this.stats.bytes += buffer.byteLength;
+    this.stats.bytes += buffer.byteLength ?? 0;
     if (asked) this.stats.roundTrip = performance.now() - asked.sent;
     const first = this.origin === null;
     if (first) this.origin = reply.from;

@@ -5,8 +5,9 @@ import * as link from "../time/link.js";
 const SETTLED = 200;
 
 export class Address {
-  // facts() -> {layout, edit, snap}; moved(href) is called after a change
-  constructor({ time, client, facts, moved }) {
+  // facts() -> {layout, edit, snap}; moved(href) is called after a change; the address of a file is fixed
+  constructor({ time, client, facts, moved, fixed = false }) {
+    this.fixed = fixed;
     this.time = time;
     this.client = client;
     this.facts = facts;
@@ -18,7 +19,7 @@ export class Address {
   }
 
   save(now = false) {
-    if (this.client.origin === null) return;
+    if (this.client.origin === null || this.fixed) return;
     clearTimeout(this.timer);
     const writeAddress = () => {
       const q = link.encodeLink(this.time.get(), this.client.origin, this.facts());

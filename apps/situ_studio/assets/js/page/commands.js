@@ -6,6 +6,7 @@ import { panelCommands } from "./panel_commands.js";
 import { askText } from "./questions.js";
 import { stepSession } from "./sessions.js";
 import { openGoto, openHelp, sessionTitle } from "./dialogs.js";
+import { selectedPart } from "./selection.js";
 import { setTheme } from "./theme.js";
 import { formatIso } from "../time/text.js";
 import { copyText, showToast } from "./toast.js";
@@ -86,6 +87,13 @@ export const commands = {
       : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
     const of = selected ? "selection" : "view";
     app.options.push?.("export_dialog", { from: app.client.toAbsolute(from), to: app.client.toAbsolute(to), of });
+  },
+
+  // Exports all panels as a page that opens without a server.
+  savePage(app) {
+    if (app.client.origin === null) return;
+    const [from, to] = selectedPart(app);
+    app.options.push?.("film_page", { from: app.client.toAbsolute(from), to: app.client.toAbsolute(to) });
   },
 
   // Copies the cursor's time in the format that "go to time" accepts.

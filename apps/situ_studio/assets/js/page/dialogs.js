@@ -67,11 +67,12 @@ export function openGoto() {
   input.focus();
 }
 
-export function openHelp() {
+export function openHelp(app) {
   const dialog = getElement("help", HTMLDialogElement);
   const list = findElement(dialog, "dl");
   list.textContent = "";
-  for (const [key, text] of listKeys()) {
+  for (const [key, text, action] of listKeys()) {
+    if (!app.allows(action)) continue;
     list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");
     list.appendChild(document.createElement("dd")).textContent = text;
   }

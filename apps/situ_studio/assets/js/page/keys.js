@@ -33,6 +33,7 @@ export const KEYS = [
   ["Alt+ArrowRight", "Move the selection forward by its length", "selOn"],
   ["Alt+c", "Clear the selection", "clearSel"],
   ["Ctrl+e", "Save the selection as a recording", "export"],
+  ["Ctrl+Shift+e", "Save the selection as an HTML page", "savePage"],
   ["Alt+f", "Toggle whether the cursor follows the mouse", "follow"],
   ["r", "Repeat playback", "repeat"],
   [",", "Half speed", "slower"],

@@ -4,6 +4,7 @@ import { GUTTER } from "./theme.js";
 import { copyText } from "./toast.js";
 import { canDrawVector, saveImage, saveVector } from "./image_file.js";
 import { measureSelection } from "./panel_commands.js";
+import { selectedPart } from "./selection.js";
 import { groupItems, streamItems } from "./stream_menu.js";
 import { annotationItems } from "../annotation/menu.js";
 
@@ -59,6 +60,7 @@ function panelItems(app, panel, legend, event) {
         run: () => measureSelection(app, panel),
       },
       ...downloadItems(app, body, vis),
+      { text: `Save the ${selectedPart(app)[2]} as an HTML page`, run: () => app.runAction("savePage") },
       ...alignItems(app, body, event),
       "-",
     );
@@ -76,6 +78,9 @@ function panelItems(app, panel, legend, event) {
       run: () => pushEvent("shift_panel", { way }),
     })),
     "-",
+    ...(panel.matches(".timeline")
+      ? []
+      : [{ text: `Save the ${selectedPart(app)[2]} as an HTML page`, run: () => app.runAction("savePage") }]),
     ...(vis.some((v) => v.draw === "image")
       ? [{ text: `Video of the ${selectedPart(app)[2]} (MP4)`, run: () => startVideo(app, pushEvent) }]
       : []),
@@ -91,7 +96,7 @@ function panelItems(app, panel, legend, event) {
   return items;
 }
 
-function timeItems(app, t) {
+export function timeItems(app, t) {
   const { sel } = app.time.get();
   const dispatchAction = (action) => () => app.time.dispatch(action);
   const both = sel[0] != null && sel[1] != null;
@@ -108,12 +113,16 @@ function timeItems(app, t) {
       disabled: sel[0] == null && sel[1] == null,
     },
     { text: "View everything", hint: "Ctrl+A", run: dispatchAction({ type: "zoomAll" }) },
-    {
-      text: "Save the selection as a recording",
-      hint: "Ctrl+E",
-      run: () => app.runAction("export"),
-      disabled: !both,
-    },
+    ...(app.allows("export")
+      ? [
+          {
+            text: "Save the selection as a recording",
+            hint: "Ctrl+E",
+            run: () => app.runAction("export"),
+            disabled: !both,
+          },
+        ]
+      : []),
   ];
 }
 
@@ -177,13 +186,6 @@ function holdItems(panel, vis, push) {
   }));
 }
 
-// Returns the selection, or the view if nothing is selected, and which of the two it is.
-function selectedPart(app) {
-  const { sel, view, data } = app.time.get();
-  if (sel[0] != null && sel[1] != null) return [...sel, "selection"];
-  return [Math.max(view[0], data[0]), Math.min(view[1], data[1]), "view"];
-}
-
 function startVideo(app, push) {
   const [from, to] = selectedPart(app);
   push("film_begin", { from: app.client.toAbsolute(from), to: app.client.toAbsolute(to) });
@@ -210,7 +212,7 @@ function downloadItems(app, body, vis) {
 }
 
 // Returns the time under the mouse, or the cursor's if the menu was opened by a key.
-function timeAt(app, el, event) {
+export function timeAt(app, el, event) {
   const box = el.getBoundingClientRect();
   const { view, cursor } = app.time.get();
   const inner = box.width - GUTTER.left - GUTTER.right;

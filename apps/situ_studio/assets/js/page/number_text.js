@@ -82,6 +82,9 @@ function roundTicks(lo, hi, n) {
   const mag = 10 ** Math.floor(Math.log10(raw));
   const unit = [1, 2, 5, 10].map((k) => k * mag).find((u) => u >= raw) ?? raw;
   const out = [];
+  // Numbers that differ only in their last digits have no round numbers between them, and counting in their units does
+  // not change them.
+  if (!(Math.max(Math.abs(lo), Math.abs(hi)) / unit < Number.MAX_SAFE_INTEGER / 4)) return [lo, hi];
   // The digits of a tick end where those of its unit end.
   const digits = Math.ceil(Math.log10(Math.max(Math.abs(lo), Math.abs(hi)) / unit)) + 2;
   for (let i = Math.ceil(lo / unit); i * unit <= hi + unit * 1e-9; i++)

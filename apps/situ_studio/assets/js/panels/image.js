@@ -50,7 +50,7 @@ export class ImagePanel {
     const drawer = vis.script ? pluginVisualizer : getVisualizer(vis.draw, "image");
     const layer = { key, vis, drawer };
     this.openChannel(layer);
-    if (drawer.id === "image" && !vis.path) layer.video = this.openVideo(layer);
+    if (drawer.id === "image" && !vis.path && !this.app.options.offline) layer.video = this.openVideo(layer);
     return layer;
   }
 

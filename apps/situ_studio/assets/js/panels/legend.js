@@ -131,10 +131,13 @@ export class Legend {
   }
 }
 
-// Returns the exact value, which the legend may round.
+// Returns the exact value, which the legend may round. An entry without a name has the values of all channels.
 function exactValueTip({ name }, reading) {
   const exact =
-    reading && (reading.values.has(name) ? [reading.values.get(name)] : [...reading.values.values()]).join(", ");
+    reading &&
+    (name === "" && !reading.values.has(name) ? [...reading.values.values()] : [reading.values.get(name) ?? ""]).join(
+      ", ",
+    );
   return exact ? `\nat the cursor: ${exact}` : "";
 }
 

@@ -36,7 +36,7 @@ export class SpacePanel {
     this.configure(config);
     this.observer = new ResizeObserver(() => this.app.scheduleDraw(this));
     this.observer.observe(el);
-    loadDrawing().then(
+    (app.options.loadSpace ?? loadDrawing)().then(
       (space) => this.openStage(space),
       (error) => this.showFailure(`the 3D view could not be loaded: ${error.message}`),
     );

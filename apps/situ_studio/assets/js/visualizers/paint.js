@@ -28,36 +28,36 @@ export function paintLine(
     return;
   }
   ctx.beginPath();
-  let pen = false,
+  // the first point of the current stroke, or -1
+  let first = -1,
     py = 0;
-  // a message between two gaps is drawn as a dot
-  const markAlone = (i) => {
-    if (i > a && !s.hasGapBefore(i)) return;
-    ctx.moveTo(x(s.t[i]), py);
-    ctx.lineTo(x(s.t[i]) + ratio, py);
+  // a message between two gaps or missing values is drawn as a dot
+  const endStroke = (last) => {
+    if (first === last) {
+      ctx.moveTo(x(s.t[last]) - ratio, py);
+      ctx.lineTo(x(s.t[last]) + ratio, py);
+    }
+    first = -1;
   };
   for (let i = a; i <= b; i++) {
     const v = s.last[i];
-    if (!Number.isFinite(v)) {
-      pen = false;
-      continue;
-    }
+    if (first >= 0 && (!Number.isFinite(v) || s.hasGapBefore(i))) endStroke(i - 1);
+    if (!Number.isFinite(v)) continue;
     const px = x(s.t[i]),
       p = y(v);
-    if (pen && s.hasGapBefore(i)) {
-      pen = false;
-      markAlone(i - 1);
-    }
-    if (!pen) ctx.moveTo(px, p);
-    else {
+    if (first < 0) {
+      ctx.moveTo(px, p);
+      first = i;
+    } else {
       if (step) ctx.lineTo(px, py);
       ctx.lineTo(px, p);
     }
-    pen = true;
     py = p;
   }
-  if (pen && s.hasGapBefore(b)) markAlone(b);
-  if (step && pen && b === n - 1) ctx.lineTo(stepEnd(s, b, view, x), py);
+  if (first >= 0) {
+    if (step && b === n - 1) ctx.lineTo(stepEnd(s, b, view, x), py);
+    endStroke(b);
+  }
   if (joined) ctx.stroke();
   // dots mark single messages if they are far enough apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;

@@ -8,7 +8,9 @@ export async function createBitmap(f, look) {
   if (f.pixels === PIXELS.jpeg || f.pixels === PIXELS.png) {
     const type = f.pixels === PIXELS.jpeg ? "image/jpeg" : "image/png";
     const image = await createImageBitmap(new Blob([f.data], { type }));
-    return { image, width: image.width, height: image.height };
+    // the picture of an exported page may be smaller than its message
+    const [width, height] = f.shown ?? [image.width, image.height];
+    return { image, width, height };
   }
   const { width, height } = f;
   const out = new ImageData(width, height);

@@ -78,3 +78,16 @@ test("the largest numbers have a range, ticks and positions", () => {
   assert.equal(valueFraction(hi, lo, hi), 1);
   assert.equal(valueFraction(3, 2, 6), 0.25);
 });
+
+test("an axis of numbers that differ only in their last digits has its ends as ticks", () => {
+  for (const [lo, hi] of [
+    [1e12, 1e12 + 0.000244140625],
+    [-1e300, -1e300 * (1 - 2e-16)],
+    [2 ** 53, 2 ** 53 + 2],
+  ]) {
+    const ticks = valueTicks(lo, hi, 6);
+    assert.ok(ticks.length >= 2 && ticks.length < 60, `${lo} to ${hi}: ${ticks.length} ticks`);
+    assert.ok(ticks.every((v) => v >= lo && v <= hi));
+    assert.equal(new Set(ticks).size, ticks.length);
+  }
+});

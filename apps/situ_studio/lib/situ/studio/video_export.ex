@@ -9,7 +9,7 @@ defmodule Situ.Studio.VideoExport do
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage, Error, Image, ImageOps}
   alias Situ.Media.Encoder
   alias Situ.Studio.VideoExport.Masks
-  alias Situ.Studio.StreamReader
+  alias Situ.Studio.{StreamColors, StreamOverview, StreamReader}
   alias Situ.Studio.Visualizers
   alias Situ.Studio.Visualizers.Shapes
 
@@ -29,6 +29,29 @@ defmodule Situ.Studio.VideoExport do
           masks: [{String.t(), non_neg_integer(), map()}],
           flip: boolean()
         }
+
+  @doc """
+  Creates the export of the images of a stream between two times. `:over` names the streams that are drawn over them,
+  and `:sound` an audio stream.
+  """
+  @spec new(String.t(), {Situ.Time.t(), Situ.Time.t()}, Situ.Recording.t(), keyword()) ::
+          {:ok, t()} | {:error, Error.t()}
+  def new(pictures, {from, to}, source, opts) do
+    with {:ok, infos} <- StreamOverview.list_streams(source) do
+      shapes = Map.new(infos, &{&1.name, &1.shape})
+      ranks = StreamColors.rank_streams(Map.keys(shapes))
+      over = opts[:over] || []
+      colored = Enum.zip(over, StreamColors.assign_colors(over, ranks))
+
+      {masks, over} =
+        Enum.split_with(colored, fn {name, _} -> shapes[name] in [:masks, :image] end)
+
+      masks = for {name, color} <- masks, do: {name, color, %{}}
+      times = [from: from, to: to]
+      fields = [pictures: pictures, sound: opts[:sound], over: over, masks: masks] ++ times
+      {:ok, struct!(__MODULE__, fields)}
+    end
+  end
 
   # Images and audio are encoded alternately in slices of one second, so that neither waits long for the other.
   @turn 1_000_000_000

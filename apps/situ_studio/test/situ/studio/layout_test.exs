@@ -427,7 +427,7 @@ defmodule Situ.Studio.LayoutTest do
             do: {"I#{i}", %ImageLook{width: r, height: 10}}
 
       plots = [%StreamInfo{name: "A", shape: :audio}, %StreamInfo{name: "L", shape: :signal}]
-      shown = streams |> Enum.map(& &1.name) |> Enum.take(3)
+      shown = streams |> Enum.map(& &1.name) |> Enum.take(9)
 
       for timelines <- [[], tl(plots), plots] do
         layout = Layout.Auto.build_layout(streams ++ timelines, looks)
@@ -513,5 +513,53 @@ defmodule Situ.Studio.LayoutTest do
 
     # The page is 720 pixels high, and its bars and the navigator use 118 of them.
     assert Sizes.least_height(layout, layout.tree, %{"Talk.Speaking" => 2}) <= 720 - 118
+  end
+
+  describe "more panels than the window holds" do
+    test "plots share places as tabs, and none is left out" do
+      streams = for i <- 1..40, do: %StreamInfo{name: "Part#{i}.Level", shape: :signal}
+      layout = Layout.Auto.build_layout(streams)
+      assert %Tree{way: :column, parts: parts} = layout.tree
+      assert length(parts) == 5
+      assert Enum.all?(parts, &(&1.way == :tabs and &1.active == hd(&1.parts).id))
+      # In order, so that neighbors are in the same tabs.
+      shown = for panel <- layout.panels, v <- panel.vis, do: v.stream
+      assert shown == streams |> Enum.map(& &1.name) |> Enum.take(24)
+      assert Tree.panel_ids(layout.tree) == Enum.map(layout.panels, & &1.id)
+      least = for part <- parts, do: Sizes.least_height(layout, part, %{})
+      assert Enum.sum(least) <= elem(Sizes.usual_size(), 1)
+    end
+
+    test "a few plots have a place each" do
+      streams = for i <- 1..7, do: %StreamInfo{name: "Part#{i}.Level", shape: :signal}
+      assert %Tree{parts: parts} = Layout.Auto.build_layout(streams).tree
+      assert Enum.map(parts, & &1.way) == List.duplicate(:panel, 7)
+    end
+
+    test "nine images have three places, and lanes keep theirs" do
+      images = for i <- 1..9, do: %StreamInfo{name: "Camera#{i}", shape: :image}
+      looks = Map.new(images, &{&1.name, %ImageLook{width: 16, height: 10}})
+      state = %StreamInfo{name: "State", shape: :state}
+      layout = Layout.Auto.build_layout([state | images], looks)
+      assert %Tree{way: :column, parts: [%Tree{way: :row} = row, lanes]} = layout.tree
+
+      assert for(tabs <- row.parts, do: {tabs.way, length(tabs.parts)}) ==
+               List.duplicate({:tabs, 3}, 3)
+
+      assert Layout.find_panel(layout, lanes.id).panel == :lanes
+      # A row with tabs has the shape of the panels in front.
+      assert Sizes.height_style(layout, row, %{}) =~ "aspect-ratio: 4.8"
+      assert Sizes.row_shares(layout, row) == [33.3, 33.3, 33.3]
+    end
+
+    test "a view of space is never in tabs" do
+      images = for i <- 1..9, do: %StreamInfo{name: "Camera#{i}", shape: :image}
+      layout = Layout.Auto.build_layout([%StreamInfo{name: "Cloud", shape: :space} | images])
+      space = Enum.find(layout.panels, &(&1.panel == :space))
+
+      refute Enum.any?(Tree.ancestors(layout.tree, space.id), fn {part, _} ->
+               part.way == :tabs
+             end)
+    end
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Store.Export do
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Mcap, Parquet, RawMessages, Ros}
   alias Situ.CLI.{FileKinds, Option, Output, Progress, Recording, UnfinishedOutput, Verb}
-  alias Situ.CLI.Store.{Arguments, OutputFile, Protobuf, Records}
+  alias Situ.CLI.Store.{Arguments, OutputFile, PanelFiles, Protobuf, Records}
   alias Situ.{Error, Store}
 
   # Files of these formats contain complete recordings.
@@ -18,12 +18,14 @@ defmodule Situ.CLI.Store.Export do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, bags, MP4",
+          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, bags, MP4, HTML",
         about: """
         MCAP files and bags contain all or the selected streams. Other files contain one stream; with --on, a table
         contains several streams, joined on time. CSV, JSON and MessagePack have the layouts of Situ.Bridge.Format,
         which \\psi reads and writes as well. Images that are stored as video become a video file (.mp4, .mov, .mkv,
-        .webm) without being encoded again; it begins with a key frame. Plain numbers are written to CSV, Parquet and
+        .webm) without being encoded again; it begins with a key frame. With --over or --sound, the images of one stream
+        are encoded as MP4 with other streams drawn over them. An HTML page shows the streams as the studio does, with
+        zoom and cursor, and opens without a server. Plain numbers are written to CSV, Parquet and
         Arrow at a million per second or more.
         """,
         arguments: [
@@ -76,12 +78,13 @@ defmodule Situ.CLI.Store.Export do
                 :flag,
                 "omit damaged data; without this flag it is an error"
               )
-            ] ++ Arguments.mcap_options() ++ Protobuf.file_options(),
+            ] ++ PanelFiles.options() ++ Arguments.mcap_options() ++ Protobuf.file_options(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
           "situ store save recordings/drive drive.parquet --on Speed -s Pose --within 50ms",
           "situ store save recordings/lobby camera.mp4 -s Camera",
+          "situ store save recordings/lobby lobby.html --from 2026-01-31T12:00:00Z --to 2026-01-31T12:01:00Z",
           "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
         ],
         run: &save_file/2
@@ -174,14 +177,14 @@ defmodule Situ.CLI.Store.Export do
     )
   end
 
+  defp write_format(:html, store, infos, file, opts, progress),
+    do: PanelFiles.save_page(store, infos, file, opts, progress)
+
   defp write_format(:video, store, infos, file, opts, progress) do
     reject_join!(opts)
     [] = carried_options(:video, opts) ++ compression_option(:video, opts[:compression])
     refuse_stdout!(file, :video)
-    info = single_stream!(store, infos)
-    copying = Keyword.take(opts, [:from, :to]) ++ [progress: &progress.(&1, info.count)]
-    copied = Situ.Media.copy_video(store, info.name, file, copying)
-    %{messages: Error.unwrap!(copied), stream: info.name}
+    PanelFiles.save_video(store, single_stream!(store, infos), file, opts, progress)
   end
 
   defp write_format(format, store, infos, file, opts, progress) do

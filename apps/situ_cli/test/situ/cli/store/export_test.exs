@@ -75,6 +75,61 @@ defmodule Situ.CLI.Store.ExportTest do
     end
   end
 
+  test "saves streams as an HTML page, and states its size", %{path: path, tmp_dir: root} do
+    file = Path.join(root, "page.html")
+    argv = ["store", "export", path, file, "-s", "A", "--from", "2000", "--to", "4000"]
+    said = capture_io(fn -> assert Situ.CLI.run(argv) == 0 end)
+    megabytes = :erlang.float_to_binary(File.stat!(file).size / 1.0e6, decimals: 2)
+    assert said == "#{file}: #{megabytes} MB, 1 stream\n"
+    assert File.read!(file) =~ "<title>#{Path.basename(path)}</title>"
+    refute File.exists?(file <> ".unfinished")
+
+    for {argv, message} <- [
+          {[path, file, "--from", "9000"], "no messages between these times"},
+          {[path, "-", "--format", "html"], "--format"}
+        ] do
+      assert capture_io(:stderr, fn -> refute Situ.CLI.run(["store", "export" | argv]) == 0 end) =~
+               message
+    end
+  end
+
+  test "saves images as a video with other streams drawn over them", %{tmp_dir: root} do
+    {:ok, writer} = Store.Writer.create("film", root)
+
+    for {name, type, data} <- [
+          {"Camera", Situ.Image, Situ.Image.new_filled(64, 48, :rgb24, [20, 40, 60])},
+          {"Faces", {:list, Situ.Rect}, [%Situ.Rect{x: 8, y: 8, width: 30, height: 20}]}
+        ] do
+      {:ok, stream} = Store.Writer.stream(writer, name, type: type)
+
+      messages =
+        for i <- 1..10 do
+          time = i * 100_000_000
+          %Message{data: data, originating_time: time, creation_time: time, sequence_id: i}
+        end
+
+      {:ok, _} = Store.Writer.append(stream, messages)
+    end
+
+    :ok = Store.Writer.close(writer)
+    file = Path.join(root, "faces.mp4")
+    argv = ["store", "export", writer.path, file, "-s", "Camera", "--over", "Faces"]
+    assert capture_io(fn -> assert Situ.CLI.run(argv) == 0 end) == ""
+
+    {:ok, film} = Store.open(file)
+    {:ok, info} = Store.stream_info(film, film |> Store.streams() |> hd() |> Map.get(:name))
+    {:ok, message} = Store.latest_at(film, info, info.last)
+    {:ok, image} = Situ.ImageOps.convert(message.data, :rgb24)
+    # The color of an edge, and of the image within the rectangle.
+    {:ok, [r, g, b]} = Situ.Image.fetch_pixel(image, 20, 8)
+    assert abs(r - 20) + abs(g - 40) + abs(b - 60) > 60
+    {:ok, [r, g, b]} = Situ.Image.fetch_pixel(image, 22, 20)
+    assert abs(r - 20) + abs(g - 40) + abs(b - 60) < 40
+
+    argv = ["store", "export", writer.path, file, "-s", "Camera", "--over", "Nothing"]
+    assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 1 end) =~ "no stream"
+  end
+
   test "joins streams on time into one table", %{tmp_dir: root} do
     for {more, row} <- [
           {[], %{"Room.A" => 1, "Room.B" => 101}},

@@ -41,9 +41,17 @@ defmodule Situ.Studio.Draw.Bins do
   @spec gap?(point() | gap()) :: boolean()
   def gap?(point), do: elem(point, 1) == nil
 
-  @doc "Returns the points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
+  @doc """
+  Returns the points of a line for one value: a point for a number, a gap for `nil`, `:nan` and infinities, none for
+  other terms.
+
+      iex> Enum.map([1, nil, :nan, "x"], &Situ.Studio.Draw.Bins.value_points(5, &1))
+      [[{5, 1, 1, 1, 1}], [{5, nil, nil, nil, 1}], [{5, nil, nil, nil, 1}], []]
+  """
   @spec value_points(Situ.Time.t(), term()) :: [point() | gap()]
-  def value_points(time, nil), do: [gap(time)]
+  def value_points(time, value) when value in [nil, :nan, :infinity, :neg_infinity],
+    do: [gap(time)]
+
   def value_points(time, %Situ.Studio.Gap{}), do: [gap(time)]
 
   def value_points(time, value) do

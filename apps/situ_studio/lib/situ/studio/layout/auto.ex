@@ -12,9 +12,9 @@ defmodule Situ.Studio.Layout.Auto do
   alias Situ.Studio.Layout.{Arrangement, ImageLook, SignalRange}
 
   @name "Automatic"
-  @pictures 3
+  @pictures 9
   @spaces 12
-  @plots 8
+  @plots 24
   @lines 4
   @lanes 10
   @sounds 3

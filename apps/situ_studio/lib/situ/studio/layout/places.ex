@@ -10,15 +10,19 @@ defmodule Situ.Studio.Layout.Places do
   @cells 3
 
   @doc """
-  Builds the tree of rows of panels. Cells are in a column next to the timelines, or in rows above them.
+  Builds the tree of rows of panels, of which several may share a place as tabs. Cells are in a column next to the
+  timelines, or in rows above them.
 
       iex> alias Situ.Studio.Layout.{Places, Tree}
       iex> Tree.to_list(Places.from_rows([["p1"], ["p2"]], MapSet.new(["p2"]), true))
       [:row, "p1", "p2"]
+      iex> Tree.to_list(Places.from_rows([["p1", ["p2", "p3"]]], MapSet.new(), false))
+      [:row, "p1", [:tabs, "p2", "p3"]]
   """
-  @spec from_rows([[String.t(), ...]], times(), boolean()) :: Tree.t() | nil
+  @spec from_rows([[String.t() | [String.t(), ...], ...]], times(), boolean()) :: Tree.t() | nil
   def from_rows(rows, times, side?) do
-    {timelines, cells} = Enum.split_with(rows, &(hd(&1) in times))
+    {timelines, cells} =
+      Enum.split_with(rows, fn [first | _] -> hd(List.wrap(first)) in times end)
 
     if side? and cells != [] and timelines != [],
       do: Tree.combine(:row, for(part <- [cells, timelines], do: combine_rows(part))),
@@ -28,9 +32,12 @@ defmodule Situ.Studio.Layout.Places do
   defp combine_rows(rows) do
     Tree.combine(
       :column,
-      for(ids <- rows, do: Tree.combine(:row, Enum.map(ids, &Tree.new_panel/1)))
+      for(places <- rows, do: Tree.combine(:row, Enum.map(places, &combine_tabs/1)))
     )
   end
+
+  defp combine_tabs(place),
+    do: Tree.combine(:tabs, place |> List.wrap() |> Enum.map(&Tree.new_panel/1))
 
   @doc "Adds a panel: a timeline below the other timelines, a cell next to other cells or above the timelines."
   @spec add_panel(Tree.t() | nil, String.t(), times()) :: Tree.t()

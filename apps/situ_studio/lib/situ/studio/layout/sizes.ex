@@ -47,6 +47,10 @@ defmodule Situ.Studio.Layout.Sizes do
   @spec usual_size() :: {pos_integer(), pos_integer(), pos_integer()}
   def usual_size, do: {@width, @height, @head}
 
+  @doc "Returns the minimum height of tabs with panels of this kind in pixels."
+  @spec tabs_height(atom()) :: pos_integer()
+  def tabs_height(kind), do: @heights[kind] + @tabs
+
   @doc "Returns the ratio of width to height of a row of cells."
   @spec sum_aspects([Panel.t(), ...]) :: float()
   def sum_aspects(row), do: row |> Enum.map(&(&1.aspect || @aspect)) |> Enum.sum()
@@ -95,12 +99,19 @@ defmodule Situ.Studio.Layout.Sizes do
   # The ratio of a cell, or of a row of cells, of which at least one has content with a known shape.
   defp known_aspect(layout, part) do
     parts = if part.way == :row, do: part.parts, else: [part]
-    panels = for %Tree{way: :panel, id: id} <- parts, do: Layout.find_panel(layout, id)
+
+    panels =
+      for %Tree{way: :panel, id: id} <- Enum.map(parts, &front_part/1),
+          do: Layout.find_panel(layout, id)
 
     if length(panels) == length(parts) and Enum.any?(panels, & &1.aspect) and
          not Enum.any?(panels, &Layout.timeline?(&1.panel)),
        do: sum_aspects(panels)
   end
+
+  # The panel in front of others in tabs, which have the same place.
+  defp front_part(%Tree{way: :tabs, active: active}), do: Tree.new_panel(active)
+  defp front_part(part), do: part
 
   defp content_weight(layout, %Tree{way: :panel, id: id}), do: @weights[panel_kind(layout, id)]
 
@@ -176,9 +187,14 @@ defmodule Situ.Studio.Layout.Sizes do
     set = for %Tree{size: size} when size != nil <- parts, do: size
 
     cond do
-      set != [] -> Enum.map(parts, &(&1.size || Enum.sum(set) / length(set)))
-      Enum.all?(parts, &(&1.way == :panel)) -> Enum.map(parts, &panel_share(layout, &1))
-      true -> content_shares(layout, parts)
+      set != [] ->
+        Enum.map(parts, &(&1.size || Enum.sum(set) / length(set)))
+
+      Enum.all?(parts, &(&1.way in [:panel, :tabs])) ->
+        Enum.map(parts, &panel_share(layout, front_part(&1)))
+
+      true ->
+        content_shares(layout, parts)
     end
     |> to_percent()
   end

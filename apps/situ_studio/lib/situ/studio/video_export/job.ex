@@ -1,15 +1,17 @@
 defmodule Situ.Studio.VideoExport.Job do
   @moduledoc false
-  # Exports one video for one page: reports the progress to the page, keeps the file until the
+  # Exports one video, or one page as HTML, for one page: reports the progress to the page, keeps the file until the
   # page is closed, and can be cancelled. The page receives `{:film, key, event}`, where `event`
   # is `{:progress, part}`, `{:done, bytes}` or `{:error, error}`.
   use GenServer, restart: :temporary
 
-  alias Situ.Studio.{Catalog, VideoExport}
+  alias Situ.Studio.{Catalog, PageExport, VideoExport}
+
+  @type work :: VideoExport.t() | PageExport.t()
 
   @doc "Starts an export for the calling process. Returns the key for fetching the finished file."
-  @spec start_job(Catalog.id(), VideoExport.t(), Situ.Recording.t()) :: {:ok, String.t()}
-  def start_job(studio, %VideoExport{} = film, source) do
+  @spec start_job(Catalog.id(), work(), Situ.Recording.t()) :: {:ok, String.t()}
+  def start_job(studio, film, source) do
     key = Base.url_encode64(:crypto.strong_rand_bytes(18))
     args = %{studio: studio, key: key, film: film, source: source, page: self()}
     {:ok, _} = DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), {__MODULE__, args})
@@ -45,17 +47,29 @@ defmodule Situ.Studio.VideoExport.Job do
     {:ok, _} = Registry.register(Situ.Studio.Registry, {args.studio, :film, key}, nil)
     Process.monitor(page)
     folder = Situ.Error.unwrap!(Situ.TempFolder.create_folder("film"))
-    path = Path.join(folder, "selection.mp4")
+    path = Path.join(folder, "selection." <> file_ending(args.film))
     job = self()
     %{film: film, source: source} = args
 
     {:ok, task} =
       Task.start_link(fn ->
         tell = &send(page, {:film, key, {:progress, &1}})
-        send(job, {:written, VideoExport.write_video(film, source, path, tell)})
+        send(job, {:written, write_file(film, source, path, tell)})
       end)
 
     {:ok, %{args: args, task: task, folder: folder, path: path}}
+  end
+
+  @doc "Returns the ending of the file's name."
+  @spec file_ending(work()) :: String.t()
+  def file_ending(%VideoExport{}), do: "mp4"
+  def file_ending(%PageExport{}), do: "html"
+
+  defp write_file(%VideoExport{} = film, source, path, tell),
+    do: VideoExport.write_video(film, source, path, tell)
+
+  defp write_file(%PageExport{} = page, source, path, tell) do
+    with {:ok, _bytes, _notes} <- PageExport.write_page(page, source, path, tell), do: :ok
   end
 
   @impl true
@@ -75,9 +89,7 @@ defmodule Situ.Studio.VideoExport.Job do
 
   def handle_info({:EXIT, task, reason}, %{task: task} = state) when reason != :normal do
     error =
-      Situ.Error.new(:film_failed, "the video could not be created",
-        why: inspect(reason, limit: 8)
-      )
+      Situ.Error.new(:film_failed, "the file could not be created", why: inspect(reason, limit: 8))
 
     notify_page(state, {:error, error})
     {:stop, :normal, state}

@@ -21,14 +21,16 @@ defmodule Situ.Studio.Web.DataHttp do
 
   # The longest exported audio file is one hour.
   @longest_wav 3_600_000_000_000
+  @exported_types %{"mp4" => "video/mp4", "html" => "text/html; charset=utf-8"}
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, :film}) do
     with {:ok, path} <- VideoExport.Job.fetch_file(studio, query["key"]),
          {:ok, %{size: size}} <- File.stat(path) do
-      file_response("video/mp4", "mp4", {:file, path, 0, size})
+      ending = path |> Elixir.Path.extname() |> String.trim_leading(".")
+      file_response(@exported_types[ending], ending, {:file, path, 0, size})
     else
-      _ -> Response.error(404, "this video does not exist any more; export it again")
+      _ -> Response.error(404, "this file does not exist any more; export it again")
     end
   end
 

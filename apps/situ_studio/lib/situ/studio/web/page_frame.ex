@@ -100,13 +100,7 @@ defmodule Situ.Studio.Web.PageFrame do
         <button class="tool live" type="button" data-act="live" title="Follow the live data (l)"
             disabled>LIVE</button>
         <span class="grow"></span>
-        <button class="timing" type="button" data-act="timing"
-            title="Switch between clock time, time since the start, and time since the start of the selection">
-          <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
-          <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
-          <div class="e"><span>to</span><b id="t-end">–</b></div>
-          <div class="len"><span id="t-length-of">length</span><b id="t-length">–</b></div>
-        </button>
+        <.time_display />
       </div>
       <span class="sep"></span>
       <form id="layout-pick" phx-change="layout_pick" phx-auto-recover="ignore">
@@ -134,7 +128,21 @@ defmodule Situ.Studio.Web.PageFrame do
     """
   end
 
-  defp play_button(assigns) do
+  @doc false
+  def time_display(assigns) do
+    ~H"""
+    <button class="timing" type="button" data-act="timing"
+        title="Switch between clock time, time since the start, and time since the start of the selection">
+      <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
+      <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
+      <div class="e"><span>to</span><b id="t-end">–</b></div>
+      <div class="len"><span id="t-length-of">length</span><b id="t-length">–</b></div>
+    </button>
+    """
+  end
+
+  @doc false
+  def play_button(assigns) do
     ~H"""
     <button class="tool play" type="button" data-act="togglePlay" title="Play or stop (Space)"
         aria-label="Play or stop" aria-pressed="false"><.icon name={:play} class="i-play" /><.icon

@@ -1,13 +1,13 @@
 defmodule Situ.Studio.Web.VideoExportBox do
   @moduledoc false
-  # Handles the video export of a page: it is started from a panel's menu, then shown with its progress and the
-  # finished file.
+  # Handles the export of a page's selection as a video or as an HTML page: it is started from a menu, then shown with
+  # its progress and the finished file.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
   alias Situ.Studio.VideoExport.Job
-  alias Situ.Studio.{StreamColors, VideoExport, Layout, Int64}
+  alias Situ.Studio.{Int64, Layout, PageExport, StreamColors, VideoExport}
 
   # The longest video is one hour.
   @longest 3_600_000_000_000
@@ -17,6 +17,19 @@ defmodule Situ.Studio.Web.VideoExportBox do
   # Rendering uses the server's CPU, so view-only links cannot start it.
   def handle_event("film_begin", _, %{assigns: %{viewer: true}} = socket),
     do: {:noreply, show_toast(socket, "This link is view-only and cannot export videos")}
+
+  def handle_event("film_page", _, %{assigns: %{viewer: true}} = socket),
+    do: {:noreply, show_toast(socket, "This link is view-only and cannot export pages")}
+
+  # The page has all panels of the layout.
+  def handle_event("film_page", params, %{assigns: assigns} = socket) do
+    with {:ok, from} <- Int64.parse(params["from"]),
+         {:ok, to} when to > from <- Int64.parse(params["to"]) do
+      {:noreply, start_job(socket, build_page(assigns, from, to))}
+    else
+      _ -> {:noreply, show_toast(socket, "Select a time first")}
+    end
+  end
 
   def handle_event("film_begin", params, %{assigns: assigns} = socket) do
     with {:ok, from} <- Int64.parse(params["from"]),
@@ -42,6 +55,16 @@ defmodule Situ.Studio.Web.VideoExportBox do
     with %{key: key} <- assigns.film, do: Job.cancel(assigns.studio, key)
     {:ok, key} = Job.start_job(assigns.studio, film, assigns.source)
     assign(socket, film: %{key: key, of: film, progress: {:progress, 0.0}})
+  end
+
+  defp build_page(assigns, from, to) do
+    %PageExport{
+      title: assigns.item.title,
+      layout: assigns.layout,
+      from: from,
+      to: to,
+      visualizers: assigns.extra
+    }
   end
 
   # Combines the panel's image stream, its visible overlays, and an audio stream of the page.
@@ -97,6 +120,9 @@ defmodule Situ.Studio.Web.VideoExportBox do
   def export_status(%{film: film} = assigns) do
     assigns =
       assign(assigns,
+        title: export_title(film.of),
+        kind: export_kind(film.of),
+        ending: Job.file_ending(film.of),
         length: Situ.Time.format_duration(film.of.to - film.of.from),
         with: content_text(film.of),
         done: percent_done(film.progress),
@@ -105,16 +131,23 @@ defmodule Situ.Studio.Web.VideoExportBox do
       )
 
     ~H"""
-    <section class="film" id="film" role="status" aria-label="Video export">
-      <b>Video of {@film.of.pictures}</b> <span class="hint">{@length}{@with}</span>
-      <progress :if={@done} max="100" value={@done} aria-label="Progress of the video export">{@done} %</progress>
+    <section class="film" id="film" role="status" aria-label={"Export of a " <> @kind}>
+      <b>{@title}</b> <span class="hint">{@length}{@with}</span>
+      <progress :if={@done} max="100" value={@done} aria-label={"Progress of the " <> @kind}>{@done} %</progress>
       <span :if={@error} class="error" role="alert">{@error}</span>
       <a :if={@size} class="btn primary" id="film-file" href={"data/film?key=" <> @film.key}
-          download="selection.mp4">Download ({@size} MB)</a>
+          download={"selection." <> @ending}>Download ({@size} MB)</a>
       <button class="btn" type="button" phx-click="film_cancel">{if @done, do: "Cancel", else: "Close"}</button>
     </section>
     """
   end
+
+  defp export_title(%VideoExport{pictures: pictures}), do: "Video of " <> pictures
+  defp export_title(%PageExport{title: title}), do: "HTML page of " <> title
+  defp export_kind(%VideoExport{}), do: "video"
+  defp export_kind(%PageExport{}), do: "page"
+
+  defp content_text(%PageExport{}), do: ", opens without a server"
 
   defp content_text(film) do
     case {film.sound != nil, film.over ++ film.masks != []} do
