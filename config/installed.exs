@@ -7,6 +7,14 @@ applications =
   ["_build/prod/lib/*/ebin", "lib/{situ,jiffy,yaws}*/ebin"]
   |> Enum.flat_map(&Path.wildcard(Path.join(root, &1)))
 
+# Debian has a package for each application of Erlang. A release contains those that Situ needs, so that a project runs
+# without the packages that the machine lacks.
+erlang =
+  for ebin <- Path.wildcard(Path.join(root, "lib/*-*/ebin")),
+      name = ebin |> Path.dirname() |> Path.basename() |> String.split("-") |> hd(),
+      match?({:error, _}, :code.lib_dir(String.to_atom(name))),
+      do: ebin
+
 if applications == [] do
   Mix.raise("""
   Situ in #{root} is not built yet.
@@ -16,4 +24,4 @@ end
 
 # The link to the studio's web server; `apps/situ_live/mix.exs` says why it is a link.
 linked = root |> Path.join("_build/linked/*/ebin") |> Path.wildcard()
-for ebin <- applications ++ linked, do: Code.append_path(ebin)
+for ebin <- Enum.uniq(applications ++ erlang ++ linked), do: Code.append_path(ebin)

@@ -65,7 +65,8 @@ step() {
       said=$((now / 60))
       say "$label ... ${said} min"
     fi
-    sleep 0.2
+    # Ctrl-C ends it, too, which is not an error of this script.
+    sleep 0.2 || true
   done
   local status=0
   wait "$pid" || status=$?
@@ -86,7 +87,7 @@ step() {
 built_since() {
   local stamp=$1
   shift
-  [ -f "$stamp" ] && [ -z "$(find "$@" \( -name node_modules -o -name target -o -name _build -o -name tmp \
+  [ -f "$stamp" ] && [ -z "$(find "$@" \( -name node_modules -o -name __pycache__ -o -name target -o -name _build -o -name tmp \
     -o -path '*/priv/native' -o -path '*/priv/static' -o -path '*/priv/onnxruntime' \) -prune \
     -o -type f -newer "$stamp" -print -quit 2>/dev/null)" ]
 }

@@ -360,7 +360,7 @@ def _import(source: str, load: Callable[[], Any]) -> Any:
         return load()
     except ModuleNotFoundError as error:
         why = f"{sys.executable} has no module {error.name!r}"
-        fix = f"{sys.executable} -m pip install {(error.name or '').partition('.')[0]}, or choose another python:"
+        fix = _install_fix(error.name or "")
         raise StartError("no_python_module", f"{source} cannot be imported", why, fix) from None
     except (Exception, SystemExit):
         raise StartError("python_failed", f"{source} cannot be imported", _format_exception()) from None
@@ -375,12 +375,18 @@ def _format_exception() -> str:
     return "".join(traceback.format_exception(kind, error, trace)).rstrip()
 
 
+def _install_fix(module: str) -> str:
+    # Debian's Python refuses pip, so the environment that Situ makes comes first.
+    name = module.partition(".")[0]
+    return f'add requirements: ["{name}"], or: {sys.executable} -m pip install {name}, or choose another python:'
+
+
 def _find_fix() -> str:
     """Proposes how to fix the current exception, or returns an empty string."""
     error = sys.exc_info()[1]
     missing = "numpy" if isinstance(error, Missing) and "numpy" in str(error) else getattr(error, "name", None)
     if isinstance(error, (Missing, ModuleNotFoundError)) and missing:
-        return f"{sys.executable} -m pip install {missing.partition('.')[0]}, or choose another python:"
+        return _install_fix(missing)
     return "increase memory:" if isinstance(error, MemoryError) else ""
 
 

@@ -11,6 +11,9 @@ defmodule Mix.Tasks.Compile.SituNative do
   this takes about 60 ms. Each library is copied to `priv/native/CRATE.so` by rename, and only if its bytes differ:
   overwriting a loaded library in place would crash the VM. Binaries are programs in the same workspace. A program is a
   separate package in the app's `native/` folder, without dependencies. They are copied to `priv/native/NAME`.
+
+  Cargo does not run, and Rust is not needed, while the libraries that `bin/lib/fetch-libraries` installed are newer
+  than every Rust source (ADR 0005).
   """
   use Mix.Task.Compiler
 
@@ -25,8 +28,37 @@ defmodule Mix.Tasks.Compile.SituNative do
         {:noop, []}
 
       {crates, binaries, programs} ->
-        build_native({crates, binaries}, programs, find_workspace(File.cwd!()))
+        build_unless_fetched({crates, binaries}, programs, find_workspace(File.cwd!()))
     end
+  end
+
+  defp build_unless_fetched({crates, binaries}, programs, workspace) do
+    names = Enum.map(crates, &"#{&1}.so") ++ binaries ++ programs
+    mark = Path.join(workspace, "../.situ/libraries")
+
+    if Enum.all?(names, &File.exists?(Path.join("priv/native", &1))) and
+         newer_than_sources?(mark, [workspace | Enum.map(programs, &Path.join("native", &1))]),
+       do: {:noop, []},
+       else: build_native({crates, binaries}, programs, workspace)
+  end
+
+  defp newer_than_sources?(mark, folders) do
+    case File.stat(mark, time: :posix) do
+      {:ok, %{mtime: fetched}} ->
+        sources = Enum.flat_map(folders, &list_sources/1)
+        Enum.all?(sources, &(File.stat!(&1, time: :posix).mtime <= fetched))
+
+      {:error, _none} ->
+        false
+    end
+  end
+
+  defp list_sources(folder) do
+    for entry <- File.ls!(folder),
+        entry != "target",
+        path = Path.join(folder, entry),
+        source <- [path | Path.wildcard(Path.join(path, "**"))],
+        do: source
   end
 
   @impl true

@@ -47,7 +47,7 @@ defmodule Situ.Build.Release do
 
   # The script that `mix release` writes controls the virtual machine (start, eval, rpc ...), and has the name of the
   # release. Users expect the command line under this name.
-  @scripts ~w(bin/situ bin/lib/common.sh bin/lib/dot_iex.exs bin/lib/fetch-model config/installed.exs)
+  @scripts ~w(bin/situ bin/demo bin/lib/common.sh bin/lib/dot_iex.exs bin/lib/fetch-model config/installed.exs)
 
   @doc "Renames Mix's script to `bin/situ-vm`, and installs the command line as `bin/situ`, with its files."
   @spec install_command_line(Mix.Release.t()) :: Mix.Release.t()

@@ -93,8 +93,15 @@ defmodule Situ.CLI.New do
       situ run              # runs the pipeline; Ctrl-C stops it
       situ run --studio     # shows it in the browser
       mix test
-    #{path_hint()}\
+    #{path_hint()}#{elixir_hint()}\
     """
+  end
+
+  # An unpacked release runs files without Elixir, but Mix compiles projects.
+  defp elixir_hint do
+    if System.find_executable("mix"),
+      do: "",
+      else: "\nProjects need Elixir, which is not installed: sudo apt install elixir\n"
   end
 
   # The commands above work only if `situ` is on the PATH.

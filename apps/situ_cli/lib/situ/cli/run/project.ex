@@ -2,6 +2,7 @@ defmodule Situ.CLI.Run.Project do
   @moduledoc false
   # Loads the pipeline of a Mix project for `situ run FOLDER`: compiles the project with mix, adds its code to the path
   # and finds its pipeline.
+  alias Situ.CLI.Checkout
   alias Situ.CLI.Run.Script
   alias Situ.{Error, Pipeline}
 
@@ -42,7 +43,7 @@ defmodule Situ.CLI.Run.Project do
 
   # The project is compiled as `mix compile` in its folder does it, so that both use the same build.
   defp compile(mix, folder) do
-    env = [{"MIX_ENV", "dev"}, {"MIX_QUIET", "1"}]
+    env = [{"MIX_ENV", "dev"}, {"MIX_QUIET", "1"}, {"PATH", Checkout.outer_path()}]
 
     case System.cmd(mix, ["compile"], cd: folder, env: env, into: IO.stream(:stderr, :line)) do
       {_, 0} ->
