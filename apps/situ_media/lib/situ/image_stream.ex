@@ -34,6 +34,7 @@ defmodule Situ.ImageStream do
   alias Situ.Graph.Placement
   alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
   alias Situ.ImageOps.{Drawing, Files, Filter, Geometry, Measure, Pixels}
+  alias Situ.ImageStream.OperatorExamples
 
   # Each row has the function, its arguments after the image, its module, and the output type.
   @operators [
@@ -84,7 +85,11 @@ defmodule Situ.ImageStream do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Applies `Situ.ImageOps.#{name}/#{length(args) + 2}` to each image."
+    @doc """
+    Applies `Situ.ImageOps.#{name}/#{length(args) + 2}` to each image.
+
+    #{OperatorExamples.format_example(name)}
+    """
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -103,7 +108,11 @@ defmodule Situ.ImageStream do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Applies `Situ.ImageOps.#{name}/#{length(args) + 1}` to each image."
+    @doc """
+    Applies `Situ.ImageOps.#{name}/#{length(args) + 1}` to each image.
+
+    #{OperatorExamples.format_example(name)}
+    """
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -161,12 +170,27 @@ defmodule Situ.ImageStream do
     Operator.attach(stream, "To depth", {:map, fun}, placed, DepthImage)
   end
 
-  @doc "Converts depth images to `:gray16` images without a copy, for operators that need an image."
+  @doc """
+  Converts depth images to `:gray16` images without a copy, for operators that need an image.
+
+      iex> depth = Situ.DepthImage.new!(width: 1, height: 1, data: <<1500::little-16>>)
+      iex> Situ.to_list(fn p ->
+      ...>   p |> Situ.repeat(depth, every: 10, count: 1) |> Situ.ImageStream.to_gray16()
+      ...> end)
+      [Situ.Image.new_filled(1, 1, :gray16, 1500)]
+  """
   @spec to_gray16(Stream.t(), keyword()) :: Stream.t()
   def to_gray16(stream, opts \\ []),
     do: Operator.attach(stream, "To gray16", {:map, &DepthImage.to_gray16/1}, opts, Image)
 
-  @doc "Decodes JPEG or PNG (`Situ.EncodedImage` or binaries) to images (`Situ.ImageOps.parse/2`)."
+  @doc """
+  Decodes JPEG or PNG (`Situ.EncodedImage` or binaries) to images (`Situ.ImageOps.parse/2`).
+
+      iex> image = Situ.Image.new_filled(4, 2, :gray8, 7)
+      iex> {:ok, png} = Situ.ImageOps.encode_png(image)
+      iex> Situ.to_list(fn p -> p |> Situ.repeat(png, every: 10, count: 1) |> Situ.ImageStream.decode() end) == [image]
+      true
+  """
   @spec decode(Stream.t(), keyword()) :: Stream.t()
   def decode(stream, opts \\ []) do
     {placed, opts} = Placement.split_unchecked(opts, :operator)
@@ -176,6 +200,14 @@ defmodule Situ.ImageStream do
 
   @doc """
   Detects motion as |a - b| of each image and the previous one. The first image produces no output.
+
+      iex> Situ.to_list(fn p ->
+      ...>   p
+      ...>   |> Situ.from_enumerable([5, 6, 7], every: 10)
+      ...>   |> Situ.map(&Situ.Image.new_filled(2, 1, :gray8, &1), type: Situ.Image)
+      ...>   |> Situ.ImageStream.motion()
+      ...> end)
+      [Situ.Image.new_filled(2, 1, :gray8, 1), Situ.Image.new_filled(2, 1, :gray8, 1)]
   """
   @spec motion(Stream.t(), keyword()) :: Stream.t()
   def motion(stream, opts \\ []) do
@@ -187,7 +219,16 @@ defmodule Situ.ImageStream do
     Operator.attach(stream, "Motion", {:step, step, nil}, opts, Image)
   end
 
-  @doc "Computes |a - b| of two image streams with the same times (`Situ.ImageOps.absdiff/2`)."
+  @doc """
+  Computes |a - b| of two image streams with the same times (`Situ.ImageOps.absdiff/2`).
+
+      iex> {a, b} = {Situ.Image.new_filled(2, 1, :gray8, 3), Situ.Image.new_filled(2, 1, :gray8, 5)}
+      iex> once = [every: 10, count: 1]
+      iex> Situ.to_list(fn p ->
+      ...>   Situ.ImageStream.absdiff(Situ.repeat(p, a, once), Situ.repeat(p, b, once))
+      ...> end)
+      [Situ.Image.new_filled(2, 1, :gray8, 2)]
+  """
   @spec absdiff(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def absdiff(stream, other, opts \\ []) do
     stream
@@ -217,7 +258,18 @@ defmodule Situ.ImageStream do
     stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, placed, :map)
   end
 
-  @doc "Draws labeled boxes on each image of a stream of `{image, [Situ.Rect]}`."
+  @doc """
+  Draws labeled boxes on each image of a stream of `{image, [Situ.Rect]}`.
+
+      iex> image = Situ.Image.new_filled(8, 8, :gray8)
+      iex> [drawn] = Situ.to_list(fn p ->
+      ...>   p
+      ...>   |> Situ.repeat({image, [Situ.Rect.new!(0, 0, 6, 6)]}, every: 10, count: 1)
+      ...>   |> Situ.ImageStream.draw_detections(width: 1)
+      ...> end)
+      iex> drawn == image
+      false
+  """
   @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
   def draw_detections(stream, opts \\ []) do
     {placed, opts} = Placement.split_unchecked(opts, :operator)
@@ -225,7 +277,17 @@ defmodule Situ.ImageStream do
     Operator.attach(stream, "Draw detections", {:map, fun}, placed, Image)
   end
 
-  @doc "Applies a function to each image. It returns `{:ok, image}`, `{:error, error}` or the image itself."
+  @doc """
+  Applies a function to each image. It returns `{:ok, image}`, `{:error, error}` or the image itself.
+
+      iex> image = Situ.Image.new_filled(2, 1, :gray8, 55)
+      iex> Situ.to_list(fn p ->
+      ...>   p
+      ...>   |> Situ.repeat(image, every: 10, count: 1)
+      ...>   |> Situ.ImageStream.transform(&Situ.ImageOps.invert/1)
+      ...> end)
+      [Situ.Image.new_filled(2, 1, :gray8, 200)]
+  """
   @spec transform(Stream.t(), (Image.t() -> Image.t() | Image.result()), keyword()) :: Stream.t()
   def transform(stream, fun, opts \\ []) when is_function(fun, 1) do
     checked = fn image ->

@@ -4,6 +4,10 @@ defmodule Situ.ImageStreamTest do
   doctest Situ.ImageStream
   alias Situ.{DepthImage, Image, ImageOps, Rect, ImageStream}
 
+  test "every operator has a doctest" do
+    assert Situ.Test.Examples.list_missing(Situ.ImageStream) == []
+  end
+
   @color Image.new_filled(12, 8, :bgr24, [10, 120, 240])
   @gray Image.new_filled(12, 8, :gray8, 90)
 

@@ -125,8 +125,10 @@ defmodule Situ.CLI.Experiment do
         Runs the baseline's parameters over its sessions, and names the sessions and times that became worse. For up to
         three of them, it records the output of the baseline, the output now, the truth and their differences.
 
-        With --bisect, it looks for the commit that made the metric fall: the commits after GOOD in the repository of
-        the experiment are each checked in a separate worktree.
+        With --bisect, it looks for the commit that made the metric fall: commits after GOOD in the repository of the
+        experiment are checked in a separate worktree. In a checkout of Situ, the worktree starts from the build there.
+        In your own repository, --build is a command that builds a commit, and --copy a folder to start from. A commit
+        that cannot be built is skipped.
         """,
         arguments: [file: @file_argument, dataset: @dataset],
         options: [
@@ -139,12 +141,20 @@ defmodule Situ.CLI.Experiment do
           Option.new(:bisect, :string, "find the commit after GOOD that made the metric fall",
             value: "GOOD"
           ),
+          Option.new(:build, :string, "with --bisect: builds a commit, in its folder",
+            value: "COMMAND"
+          ),
+          Option.new(:copy, :string, "with --bisect: a folder that git ignores, for the builds",
+            many?: true,
+            value: "FOLDER"
+          ),
           jobs_option()
           | cluster_options()
         ],
         examples: [
           "situ experiment check tune.exs study.json --baseline baseline.json",
-          "situ experiment check tune.exs study.json --bisect HEAD~20"
+          "situ experiment check tune.exs study.json --bisect HEAD~20",
+          "situ experiment check tune.exs study.json --bisect v1.2 --build 'make models' --copy models"
         ],
         run: &Checking.check_baseline/2
       },

@@ -94,6 +94,10 @@ defmodule Situ.CLI.ExperimentTest do
     assert text =~ "fell in p"
     assert text =~ ~r/missed from [\d.]+ s to [\d.]+ s/
 
+    # The latest run is the one with all sets: otherwise, the regression would become the next baseline.
+    assert {0, [_, _, %{"method" => "check"}]} = run_json(["list", study])
+    assert {0, %{"sets" => [_, _, _]}} = run_json(["show", study])
+
     # The outputs, the truth and their differences are recorded for the worst sessions.
     recorded = Regex.scan(~r/difference in (p\d) is recorded: situ studio (\S+)/, text)
     assert length(recorded) == 3

@@ -3,11 +3,11 @@ defmodule Situ.Experiment.MlflowExport do
   # Writes a run in the file format of MLflow (`mlruns`): each set of parameters is a run there. Exporting the same run
   # again replaces its files.
   alias Situ.Error
-  alias Situ.Experiment.{CodeVersion, Summary}
+  alias Situ.Experiment.{CodeVersion, RunRecord, Summary}
   alias Situ.Store.AtomicFile
 
-  # MLflow's numbers for a finished run, and for a local source.
-  @finished 3
+  # MLflow's numbers for the status of a run, and for a local source.
+  @statuses %{"running" => 1, "finished" => 3, "killed" => 5, "interrupted" => 5}
   @local 4
 
   @doc "Writes the rows of a run below `folder`. Error: `:not_saved`."
@@ -71,7 +71,7 @@ defmodule Situ.Experiment.MlflowExport do
         source_type: @local,
         source_version: "",
         start_time: time,
-        status: @finished,
+        status: @statuses[RunRecord.status(run)],
         tags: [],
         user_id: ""
       )

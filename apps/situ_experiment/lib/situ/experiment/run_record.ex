@@ -45,7 +45,10 @@ defmodule Situ.Experiment.RunRecord do
     |> Enum.sort_by(fn {_, run} -> run["started"] end)
   end
 
-  @doc "Returns a run by its name, or the latest one for `nil`. Error: `:no_run`."
+  @doc """
+  Returns a run by its name. For `nil`, returns the latest one, or the latest check if nothing else has run. Error:
+  `:no_run`.
+  """
   @spec fetch_run(Path.t(), String.t() | nil) :: {:ok, {Path.t(), t()}} | {:error, Error.t()}
   def fetch_run(experiments, name) do
     runs = list_runs(experiments)
@@ -65,12 +68,15 @@ defmodule Situ.Experiment.RunRecord do
          Error.new(:no_run, "run #{inspect(name)} does not exist", fix: "did you mean #{near}?")}
 
       {_, runs} when name == nil ->
-        {:ok, List.last(runs)}
+        {:ok, runs |> Enum.reject(&check?/1) |> List.last(List.last(runs))}
 
       {run, _} ->
         {:ok, run}
     end
   end
+
+  # A check has one set. As the latest run, a regression would become the baseline, and the others would be hidden.
+  defp check?({_folder, run}), do: run["method"] == "check"
 
   @doc """
   Returns the status of a run: `finished`, `running`, `interrupted` by Ctrl-C, or `killed` if its process is gone.

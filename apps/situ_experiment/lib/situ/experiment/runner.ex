@@ -133,7 +133,7 @@ defmodule Situ.Experiment.Runner do
       "status" => "running",
       "pid" => System.pid(),
       "started" => Situ.Time.to_iso8601(now),
-      "method" => to_string(plan.opts[:method]),
+      "method" => if(plan.opts[:only], do: "check", else: to_string(plan.opts[:method])),
       "seed" => plan.opts[:seed],
       "metrics" => describe_metrics(plan.module),
       "parameters" => for({name, _} <- plan.module.parameters(), do: to_string(name)),

@@ -94,5 +94,8 @@ defmodule Situ.Experiment.ReportTest do
     refute File.exists?(Path.join(set, "metrics/speaking.recall"))
     assert File.read!(Path.join(set, "tags/mlflow.source.git.commit")) == "abc"
     assert File.read!(Path.join(set, "meta.yaml")) =~ "status: 3\n"
+
+    :ok = MlflowExport.write_folder(root, rows(), %{@run | "status" => "interrupted"})
+    assert File.read!(Path.join(set, "meta.yaml")) =~ "status: 5\n"
   end
 end

@@ -5,6 +5,7 @@ defmodule Situ.CLI.Experiment.Bisecting do
   # there and runs its own command line; any other repository is run with this one.
   # See docs/adr/0182-bisection-runs-every-commit-in-a-worktree.md.
   alias Situ.CLI.{Checkout, Interrupt, Output, Terminal}
+  alias Situ.CLI.Experiment.Worktree
   alias Situ.{Error, TempFolder}
   alias Situ.Experiment.Bisection
 
@@ -19,8 +20,9 @@ defmodule Situ.CLI.Experiment.Bisecting do
     repository = find_repository!(check.file)
     {good, commits} = list_commits!(repository, good)
     terminal = Terminal.open(opts)
+    progress = %{counter: :counters.new(1, []), started: now_s()}
     state = %{check: check, repository: repository, terminal: terminal, opts: opts}
-    search = &await_search(state, good, commits, &1)
+    search = &await_search(Map.put(state, :progress, progress), good, commits, &1)
 
     result =
       Interrupt.with_message(:interrupted, fn -> TempFolder.with_folder("bisect", search) end)
@@ -46,42 +48,29 @@ defmodule Situ.CLI.Experiment.Bisecting do
 
       :interrupted ->
         Task.shutdown(task, :brutal_kill)
-        prune_worktrees(state.repository, worktree_path(folder))
+        Worktree.remove_worktree(state.repository, folder)
         :interrupted
     end
   end
 
-  # The range is checked first: otherwise, the result would be a wrong commit. Building a worktree of Situ takes
-  # minutes, and a checkout without changes is the latest commit already.
+  # The range is checked first: otherwise, the result would be a wrong commit.
   defp search_commits(state, good, commits, folder) do
-    latest = List.last(commits)
-    verdict = if unchanged?(state.repository), do: test_folder(state, state.repository, latest)
+    Terminal.replace_line(state.terminal, "copying the build")
+    worktree = Worktree.create_worktree(state.repository, folder, state.opts)
+    test = &test_commit(state, worktree, &1, &2)
 
-    if verdict in [:good, :untestable],
-      do: {:error, latest_error(verdict)},
-      else: search_worktree(state, {good, commits, verdict}, worktree_path(folder))
-  end
-
-  defp worktree_path(folder), do: Path.join(folder, "worktree")
-
-  defp unchanged?(repository),
-    do: run_git(repository, ["status", "--porcelain", "--untracked-files=no"]) == {:ok, ""}
-
-  defp search_worktree(state, {good, commits, latest}, worktree) do
-    run_git!(state.repository, ["worktree", "add", "--detach", worktree, good])
-    test = &test_commit(state, worktree, &1)
-
-    try do
-      with {:latest, :bad} <- {:latest, latest || test.(List.last(commits))},
-           {:good, :good} <- {:good, test.(good)} do
-        {:ok, Bisection.find_first_bad(commits, test)}
-      else
-        {:latest, verdict} -> {:error, latest_error(verdict)}
-        {:good, verdict} -> {:error, good_error(good, verdict)}
-      end
-    after
-      prune_worktrees(state.repository, worktree)
+    # Two more commits than those of the search are tested.
+    with {:latest, :bad} <- {:latest, test.(List.last(commits), 2 * length(commits))},
+         {:good, :good} <- {:good, test.(good, length(commits))} do
+      {:ok, Bisection.find_first_bad(commits, test)}
+    else
+      {:latest, verdict} -> {:error, latest_error(verdict)}
+      {:good, verdict} -> {:error, good_error(good, verdict)}
     end
+  rescue
+    error in Error -> {:error, error}
+  after
+    Worktree.remove_worktree(state.repository, folder)
   end
 
   defp latest_error(:good) do
@@ -104,53 +93,76 @@ defmodule Situ.CLI.Experiment.Bisecting do
     Error.new(:no_range, "no commit can be found", why: why, fix: fix)
   end
 
-  defp prune_worktrees(repository, worktree) do
-    run_git(repository, ["worktree", "remove", "--force", worktree])
-    run_git(repository, ["worktree", "prune"])
-  end
+  # `left` is the number of commits that may be the first bad one.
+  defp test_commit(state, worktree, commit, left) do
+    described = describe_commit(state.repository, commit)
 
-  defp test_commit(state, worktree, commit) do
-    run_git!(worktree, ["checkout", "--detach", "--force", commit])
-    test_folder(state, worktree, commit)
-  end
+    Terminal.replace_line(
+      state.terminal,
+      "checking #{described}#{estimate(state.progress, left)}"
+    )
 
-  defp test_folder(state, folder, commit) do
-    Terminal.replace_line(state.terminal, "checking #{describe_commit(state.repository, commit)}")
-    verdict = run_check(state, folder)
+    started = now_s()
+    {verdict, why} = check_commit(state, worktree, commit)
+    :counters.add(state.progress.counter, 1, 1)
+    Terminal.replace_line(state.terminal, "")
 
-    unless state.opts[:json],
-      do: Output.puts("#{verdict_word(verdict)}  #{describe_commit(state.repository, commit)}")
+    unless state.opts[:json] do
+      Output.puts("#{verdict_word(verdict)}  #{described}, #{format_seconds(now_s() - started)}")
+      if why, do: Output.puts("            " <> Output.format_name(why))
+    end
 
     verdict
   end
 
-  defp verdict_word(:good), do: "good      "
-  defp verdict_word(:bad), do: "worse     "
-  defp verdict_word(:untestable), do: "not tested"
+  # A search of n commits takes about log2(n) more steps, and this one.
+  defp estimate(%{counter: counter, started: started}, left) do
+    steps = max(Bisection.estimate_steps(left), 1)
 
-  # Errors have the same status as a worse metric, but no report.
-  defp run_check(%{check: check, repository: repository}, worktree) do
-    arguments =
-      ["experiment", "check", file_in(worktree, repository, check.file), check.dataset] ++
-        ["--baseline", check.baseline, "--jobs", "#{check.jobs}", "--json"]
+    case :counters.get(counter, 1) do
+      0 ->
+        " (about #{Output.format_count(steps, "step")} left)"
 
-    {text, _status} =
-      System.cmd(find_command(worktree), arguments, cd: worktree, env: [{"SITU_ROOT", nil}])
-
-    case Situ.JSON.decode(text) do
-      {:ok, %{"ok" => true}} -> :good
-      {:ok, %{"ok" => false}} -> :bad
-      _ -> :untestable
+      done ->
+        seconds = (now_s() - started) / done * steps
+        " (about #{Output.format_count(steps, "step")} left, #{format_seconds(seconds)})"
     end
   end
 
-  defp find_command(worktree) do
-    own = Path.join(worktree, "bin/situ")
+  defp now_s, do: System.monotonic_time(:millisecond) / 1000
 
-    if File.exists?(own) and File.dir?(Path.join(worktree, "apps/situ_cli")),
-      do: own,
-      else: Checkout.script_path("situ")
+  defp format_seconds(seconds) when seconds < 90, do: "#{round(seconds)} s"
+  defp format_seconds(seconds), do: "#{round(seconds / 60)} min"
+
+  defp verdict_word(:good), do: "good      "
+  defp verdict_word(:bad), do: "worse     "
+  defp verdict_word(:untestable), do: "skipped   "
+
+  defp check_commit(state, worktree, commit) do
+    case Worktree.build_commit(worktree, commit) do
+      :ok -> run_check(state, worktree)
+      {:error, why} -> {:untestable, "it does not build: " <> why}
+    end
   end
+
+  # Errors have the same status as a worse metric, but no report.
+  defp run_check(%{check: check, repository: repository}, %{path: path} = worktree) do
+    command =
+      [find_command(path), "experiment", "check", file_in(path, repository, check.file)] ++
+        [check.dataset, "--baseline", check.baseline, "--jobs", "#{check.jobs}", "--json"]
+
+    {text, _status} = Worktree.run_logged(worktree, command)
+
+    case Situ.JSON.decode(text) do
+      {:ok, %{"ok" => true}} -> {:good, nil}
+      {:ok, %{"ok" => false}} -> {:bad, nil}
+      _ -> {:untestable, "the check fails: " <> Worktree.explain_failure(worktree, text)}
+    end
+  end
+
+  defp find_command(path),
+    do:
+      if(Worktree.situ?(path), do: Path.join(path, "bin/situ"), else: Checkout.script_path("situ"))
 
   # A commit that does not have the experiment yet is checked with the current one.
   defp file_in(worktree, repository, file) do
@@ -164,7 +176,7 @@ defmodule Situ.CLI.Experiment.Bisecting do
   defp find_repository!(file) do
     folder = if script?(file), do: Path.dirname(file), else: Checkout.folder()
 
-    case run_git(folder, ["rev-parse", "--show-toplevel"]) do
+    case Worktree.run_git(folder, ["rev-parse", "--show-toplevel"]) do
       {:ok, repository} ->
         repository
 
@@ -180,9 +192,14 @@ defmodule Situ.CLI.Experiment.Bisecting do
   defp list_commits!(repository, name) do
     verify = ["rev-parse", "--verify", "--quiet", "--end-of-options", name <> "^{commit}"]
 
-    with {:ok, good} <- run_git(repository, verify),
+    with {:ok, good} <- Worktree.run_git(repository, verify),
          {:ok, text} <-
-           run_git(repository, ["rev-list", "--reverse", "--first-parent", good <> "..HEAD"]),
+           Worktree.run_git(repository, [
+             "rev-list",
+             "--reverse",
+             "--first-parent",
+             good <> "..HEAD"
+           ]),
          [_ | _] = commits <- String.split(text) do
       {good, commits}
     else
@@ -195,7 +212,7 @@ defmodule Situ.CLI.Experiment.Bisecting do
   end
 
   defp describe_commit(repository, commit) do
-    case run_git(repository, ["log", "-1", "--format=%h %s (%an, %as)", commit]) do
+    case Worktree.run_git(repository, ["log", "-1", "--format=%h %s (%an, %as)", commit]) do
       {:ok, text} -> text
       {:error, _} -> commit
     end
@@ -220,27 +237,5 @@ defmodule Situ.CLI.Experiment.Bisecting do
     end
 
     if match?([_], found), do: 0, else: 1
-  end
-
-  defp run_git!(folder, arguments) do
-    with {:error, why} <- run_git(folder, arguments) do
-      raise Error.new(:git_failed, "git #{Enum.join(arguments, " ")} failed",
-              why: why,
-              fix: "repair the repository"
-            )
-    end
-  end
-
-  defp run_git(folder, arguments) do
-    case System.find_executable("git") do
-      nil ->
-        {:error, "git is not installed"}
-
-      git ->
-        case System.cmd(git, ["-C", folder | arguments], stderr_to_stdout: true) do
-          {text, 0} -> {:ok, String.trim(text)}
-          {text, _} -> {:error, String.trim(text)}
-        end
-    end
   end
 end

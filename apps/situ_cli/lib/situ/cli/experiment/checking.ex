@@ -39,6 +39,9 @@ defmodule Situ.CLI.Experiment.Checking do
   @doc "Runs the set of a baseline again and compares; returns 1 if a metric is worse."
   @spec check_baseline(map(), keyword()) :: 0..255
   def check_baseline(%{file: file, dataset: path} = arguments, opts) do
+    if opts[:bisect] == nil and (opts[:build] || opts[:copy] not in [nil, []]),
+      do: throw({:usage, "--build and --copy need --bisect"})
+
     experiment = Loading.load_experiment!(file)
     found = find_baseline(opts[:baseline], experiment, path)
 
