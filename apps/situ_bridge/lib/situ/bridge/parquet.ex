@@ -100,7 +100,7 @@ defmodule Situ.Bridge.Parquet do
   @doc ~S"""
   Writes columns into a file and returns `{:ok, rows}`, without a term for each value. Columns are pairs of a name and
   values: `{:time | :integer | :float, bytes}` with 8 bytes for each value, `{:boolean, bytes}` with one byte for each,
-  or `{kind, list}` with one of these kinds, `:text` or `:bytes`, in which `nil` is a missing value. Numbers are
+  or `{kind, list}` with such a kind, `:text` or `:bytes`, in which `nil` is a missing value. Numbers are
   little-endian. Options: `compression:` and `rows:` as in `export/3`. Errors: `:not_writable`, `:io`, `:disk_full`.
 
       iex> path = Path.join(System.tmp_dir!(), "situ-columns-#{System.unique_integer([:positive])}.parquet")

@@ -108,7 +108,7 @@ defmodule Situ.Store.Moving do
     end
   end
 
-  # NAME.STREAM.edits, but not those of a recording: NAME.NNNN.bookmarks.edits, NAME.NNNN-annotation-S.S.edits.
+  # NAME.STREAM.edits, but not the edit logs of a recording: NAME.NNNN.bookmarks.edits, NAME.NNNN-annotation-S.S.edits.
   defp list_logs(root, name) do
     logs =
       for entry <- list_entries(root),
@@ -154,7 +154,7 @@ defmodule Situ.Store.Moving do
         {:error,
          Error.new(:store_exists, "#{Path.join(to, entry)} exists",
            why: "a recording that moves keeps its names",
-           fix: "rename one of them first, with `situ store rename`"
+           fix: "rename the recording first, with `situ store rename`"
          )}
     end
   end

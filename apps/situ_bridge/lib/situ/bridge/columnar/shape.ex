@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Columnar.Shape do
   @moduledoc false
-  # The keys of a message's data, including those of nested maps. Most messages of a stream have the same keys, so the
-  # names of their columns are computed only once. Pure.
+  # The keys of a message's data, including the keys of nested maps. Most messages of a stream have the same keys, so
+  # the names of their columns are computed only once. Pure.
   alias Situ.Bridge.Columnar.{Cell, Column}
 
   @typedoc "The keys of a map, and the shape of each value: `nil` if it is not a map, or is empty."

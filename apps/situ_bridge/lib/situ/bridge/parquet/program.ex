@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Parquet.Program do
   @moduledoc false
-  # The program native/situ_parquet, which reads or writes one Parquet file. It is a program of its own, because a
+  # The program native/situ_parquet, which reads or writes one Parquet file. It is a separate program, because a
   # hostile file can make the crate `parquet` panic, recurse until the stack overflows, or allocate much memory.
   # Requests and results are terms. See docs/adr/0200-parquet-files-are-read-by-a-program.md.
   alias Situ.Error

@@ -59,7 +59,7 @@ defmodule Situ.CLI.Experiment.Bisecting do
     worktree = Worktree.create_worktree(state.repository, folder, state.opts)
     test = &test_commit(state, worktree, &1, &2)
 
-    # Two more commits than those of the search are tested.
+    # Two commits are tested in addition to the search.
     with {:latest, :bad} <- {:latest, test.(List.last(commits), 2 * length(commits))},
          {:good, :good} <- {:good, test.(good, length(commits))} do
       {:ok, Bisection.find_first_bad(commits, test)}

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.PanelFiles do
   @moduledoc false
-  # Writes what the studio's panels show to files for `situ store save`: an HTML page of the streams, and a video of
-  # images with other streams drawn over them.
+  # Writes the content of the studio's panels to files for `situ store save`: an HTML page of the streams, and a video
+  # of images with other streams drawn over them.
   alias Situ.CLI.{Option, Output, UnfinishedOutput}
   alias Situ.CLI.Store.OutputFile
   alias Situ.{Error, Store}

@@ -20,7 +20,8 @@ defmodule Situ.Link.Wire.Socket do
     send_timeout: @send_timeout,
     send_timeout_close: true
   ]
-  # Reading several TLS records at once takes a third of the CPU time. By default, each read takes about a tenth of one.
+  # Reading several TLS records at once takes a third of the CPU time. By default, each read takes about a tenth of a
+  # record.
   @tls_options [buffer: 65_536]
   # TLS alerts caused by a rejected certificate (a wrong hostname causes `handshake_failure` instead).
   @certificate_alerts ~w(unknown_ca bad_certificate unsupported_certificate certificate_expired certificate_revoked
@@ -163,8 +164,6 @@ defmodule Situ.Link.Wire.Socket do
   defp connect_to(%{transport: :unix, path: path}, _tls, timeout),
     do: tag_socket(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @frame_options, timeout))
 
-  defp internet_options, do: [nodelay: true] ++ Situ.TcpKeepalive.options()
-
   defp connect_to(%{host: host, port: port} = address, tls, timeout) do
     with {:ok, ip} <- resolve_ip(host) do
       options = [address_family(ip)] ++ internet_options() ++ @frame_options
@@ -179,6 +178,8 @@ defmodule Situ.Link.Wire.Socket do
       )
     end
   end
+
+  defp internet_options, do: [nodelay: true] ++ Situ.TcpKeepalive.options()
 
   defp connect_at(:tcp, {ip, port}, _host, options, _tls, timeout),
     do: tag_socket(:gen_tcp, :gen_tcp.connect(ip, port, options, timeout))

@@ -68,7 +68,7 @@ defmodule Situ.Studio.PageExport.Contents do
 
   defp pad_bytes(bytes), do: [bytes, :binary.copy(<<0>>, rem(8 - rem(byte_size(bytes), 8), 8))]
 
-  # Every stream of every panel with what the page asks the server for.
+  # Every stream of every panel, with the data that the page requests from the server.
   defp list_drawn(export) do
     for panel <- export.layout.panels,
         v <- panel.vis,

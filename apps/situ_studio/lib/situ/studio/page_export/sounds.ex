@@ -37,7 +37,7 @@ defmodule Situ.Studio.PageExport.Sounds do
     {sounds, samples, Enum.reverse(notes)}
   end
 
-  # The format is that of the first stretch with sound.
+  # The first stretch with sound gives the format.
   defp find_format(export, source, stream) do
     Enum.find_value(list_stretches(export), :none, fn {a, b} ->
       case AudioSamples.interleaved_samples(source, stream, a, b) do
