@@ -78,11 +78,12 @@ defmodule Situ.Studio.Visualizer do
   @typedoc "A module with this behaviour, or a visualizer's description."
   @type definition :: module() | t()
 
-  @typedoc "The stream to draw, the part of its messages, and the properties from the page."
+  @typedoc "The stream to draw, the part of its messages (also as text), and the properties from the page."
   @type spec :: %{
           required(:stream) => String.t(),
           required(:viz) => t() | nil,
           required(:path) => Situ.Studio.ValuePath.t(),
+          optional(:text) => String.t() | nil,
           optional(:props) => map()
         }
 
