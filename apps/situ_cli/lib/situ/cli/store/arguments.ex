@@ -22,6 +22,16 @@ defmodule Situ.CLI.Store.Arguments do
     )
   end
 
+  @doc "Returns the option `--nested`."
+  @spec nested_option() :: Option.t()
+  def nested_option do
+    Option.new(
+      :nested,
+      :flag,
+      "Parquet: write maps and lists as nested columns, not lists as JSON text"
+    )
+  end
+
   @doc "Returns the options `--attach` and `--metadata`, which add attachments and metadata to an MCAP file."
   @spec mcap_options() :: [Option.t()]
   def mcap_options do

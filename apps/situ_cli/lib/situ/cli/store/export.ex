@@ -52,6 +52,7 @@ defmodule Situ.CLI.Store.Export do
               ),
               Option.new(:from, :time, "start at this originating time"),
               Option.new(:to, :time, "end at this originating time"),
+              Arguments.nested_option(),
               Option.new(
                 :compression,
                 ["none", "gzip", "lz4", "zstd", "snappy"],
@@ -110,6 +111,7 @@ defmodule Situ.CLI.Store.Export do
           {:usage, "unknown format: give --format, or a file that ends in #{known_extensions()}"}
         )
 
+    _ = nested_option(format, opts)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     {:ok, _} = Application.ensure_all_started(:situ_media)
     store = Recording.open!(path)
@@ -151,7 +153,8 @@ defmodule Situ.CLI.Store.Export do
       if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, infos, join)
 
     written =
-      [progress: &progress.(&1, info.count)] ++ compression_option(format, opts[:compression])
+      [progress: &progress.(&1, info.count)] ++
+        compression_option(format, opts[:compression]) ++ nested_option(format, opts)
 
     write_table(
       opts[:on],
@@ -285,6 +288,14 @@ defmodule Situ.CLI.Store.Export do
     joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
     joining = Keyword.take(opts, [:within]) ++ joining
     %{messages: Error.unwrap!(module.join(store, file, joining ++ written)), stream: on}
+  end
+
+  defp nested_option(format, opts) do
+    cond do
+      opts[:nested] != true -> []
+      format == :parquet and opts[:on] == nil -> [nested: true]
+      true -> throw({:usage, "--nested is for one stream as Parquet"})
+    end
   end
 
   defp fetch_stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))

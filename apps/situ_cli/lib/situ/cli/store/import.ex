@@ -90,7 +90,9 @@ defmodule Situ.CLI.Store.Import do
               value: "NAME",
               many?: true
             )
-          ] ++ copy_option_specs() ++ Arguments.mcap_options() ++ Protobuf.read_options(),
+          ] ++
+            copy_option_specs() ++
+            [Arguments.nested_option()] ++ Arguments.mcap_options() ++ Protobuf.read_options(),
         examples: [
           "situ store convert drive.bag drive.mcap --compression zstd",
           "situ store convert level.parquet level.csv"

@@ -51,6 +51,19 @@ defmodule Situ.CLI.Store.ExportTest do
 
     assert Enum.map(turns, &{&1.originating_time, &1.data}) == expected
 
+    nested = Path.join(root, "imu.parquet")
+
+    assert Situ.CLI.run(["store", "convert", drive, nested, "-s", "/imu/data_raw", "--nested"]) ==
+             0
+
+    [{_time, %{"acceleration" => [_, _, _] = acceleration}} | _] =
+      Enum.to_list(Bridge.Parquet.messages(nested))
+
+    assert acceleration == Tuple.to_list(hd(messages).data.acceleration)
+
+    refused = ["store", "convert", drive, file, "-s", "/imu/mag", "--nested"]
+    assert capture_io(:stderr, fn -> assert Situ.CLI.run(refused) == 2 end) =~ "as Parquet"
+
     picture = Path.join(root, "camera.jsonl")
     camera = ["-s", "/camera/image/compressed", "--quiet"]
     assert Situ.CLI.run(["store", "convert", drive, picture | camera]) == 0
