@@ -23,6 +23,7 @@ defmodule Situ.Studio.PageExportTest do
         do: put.("Camera", i * 5 * @ms, Image.new_filled(1_280, 96, :rgb24, [9, 9, 9]))
 
     put.("Name", 0, "<script>alert(1)</script>")
+    for i <- 0..9, do: put.("Way", i * @ms, %Situ.GeoPoint{latitude: 45.0, longitude: i / 1})
 
     buffer = %AudioBuffer{
       format: AudioFormat.pcm(16_000, 1),
@@ -76,6 +77,10 @@ defmodule Situ.Studio.PageExportTest do
     assert Regex.scan(~r/<(?:link|script|img)[^>]* (?:src|href)="[^"]*"/, page) == [
              [~s(<link rel="icon" href="data:,")]
            ]
+
+    # A map shows the way, and the position at the cursor.
+    assert %{"windows" => [way], "instants" => places} = entries[{"Way", "map"}]
+    assert length(places) == 10 and way not in places
 
     # Of 450 images, every second is kept, and made smaller.
     assert length(entries[{"Camera", "image"}]["instants"]) == 225

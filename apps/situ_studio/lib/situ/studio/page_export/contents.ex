@@ -27,6 +27,8 @@ defmodule Situ.Studio.PageExport.Contents do
   # These are drawn from the messages of consecutive windows. Intervals may be anywhere in their stream.
   @in_parts ["line", "lines", "latency", "states", "messages"]
   @in_one ["labels", "spans"]
+  # A map shows the way, and the position at the cursor with its accuracy.
+  @in_both ["map"]
   # Spectra are computed by a separate script.
   @left_out ["spectrogram"]
 
@@ -109,19 +111,35 @@ defmodule Situ.Studio.PageExport.Contents do
       spec.viz.plugin != nil or spec.viz.script != nil or spec.viz.id in @left_out ->
         {entry, [], ["#{spec.stream}: #{spec.viz.title} is not part of an exported page."]}
 
+      spec.viz.id in @in_both ->
+        {drawn, frames, notes} = collect_window(entry, export, source, spec)
+        {entry, own, more} = collect_instants(drawn, export, source, spec)
+        {number_instants(entry, length(frames)), frames ++ own, notes ++ more}
+
       implements?(spec.viz, :window, [6]) ->
-        {frames, notes} = window_frames(export, source, spec)
-        {Map.put(entry, "windows", list_indexes(frames)), frames, notes}
+        collect_window(entry, export, source, spec)
 
       implements?(spec.viz, :instant, [3, 4]) ->
-        {times, frames, notes} = instant_frames(export, source, spec)
-        more = %{"instants" => list_indexes(frames), "times" => times}
-        {Map.merge(entry, more), frames, notes}
+        collect_instants(entry, export, source, spec)
 
       true ->
         {entry, [], []}
     end
   end
+
+  defp collect_window(entry, export, source, spec) do
+    {frames, notes} = window_frames(export, source, spec)
+    {Map.put(entry, "windows", list_indexes(frames)), frames, notes}
+  end
+
+  defp collect_instants(entry, export, source, spec) do
+    {times, frames, notes} = instant_frames(export, source, spec)
+    more = %{"instants" => list_indexes(frames), "times" => times}
+    {Map.merge(entry, more), frames, notes}
+  end
+
+  defp number_instants(entry, next),
+    do: Map.update!(entry, "instants", fn numbers -> Enum.map(numbers, &(&1 + next)) end)
 
   defp list_indexes(frames), do: Enum.to_list(0..(length(frames) - 1)//1)
 
