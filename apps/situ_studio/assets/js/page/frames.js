@@ -38,15 +38,21 @@ export class Frames {
       this.frame = null;
       const views = [...this.dirty];
       this.dirty.clear();
-      for (const v of views) {
-        if (!this.views.has(v)) continue;
-        v.render();
-        // the lines of a resized panel are elsewhere
-        this.overlays.get(v)?.update(this.time.get());
-        scheduleLabel(v, () => this.time.get());
-      }
+      for (const v of views) if (this.views.has(v)) this.drawView(v);
       this.drawn.count++;
     });
+  }
+
+  // The error of one view must not keep the others from being drawn.
+  drawView(view) {
+    try {
+      view.render();
+      // the lines of a resized panel are elsewhere
+      this.overlays.get(view)?.update(this.time.get());
+      scheduleLabel(view, () => this.time.get());
+    } catch (error) {
+      reportError(error);
+    }
   }
 
   // Schedules the views that depend on the changed times.
