@@ -191,9 +191,9 @@ defmodule Situ.CLI.Experiment.Worktree do
 
     with {text, status} when status != 0 <-
            System.cmd("cp", ["-a", from, to], stderr_to_stdout: true) do
-      raise Error.new(:not_copied, "cannot copy #{from} to a temporary folder",
+      raise Error.new(:not_copied, "cannot copy #{from} to #{to}",
               why: String.trim(text),
-              fix: "make space in #{System.tmp_dir!()}, or set TMPDIR to a folder with more"
+              fix: "make space there, or set TMPDIR to a folder with more"
             )
     end
   end
