@@ -609,6 +609,24 @@ defmodule Situ.PythonTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
+  test "everything that a program has printed is logged before the pipeline ends", %{tmp_dir: dir} do
+    source =
+      write_part(
+        dir,
+        """
+        def on_value(self, value, message):
+            return {"out": value}
+
+        def on_close(self, time):
+            print("<4>" + "a long line " * 5000)
+            print("<4>the last line")
+        """
+      )
+
+    log = ExUnit.CaptureLog.capture_log(fn -> assert run_part(source, [1]) == [1] end)
+    assert log =~ "Part: the last line"
+  end
+
   test "logging has levels", %{tmp_dir: dir} do
     source =
       write_part(

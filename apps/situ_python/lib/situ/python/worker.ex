@@ -158,16 +158,11 @@ defmodule Situ.Python.Worker do
     end
   end
 
-  def handle_info({closed, socket}, %{socket: socket} = state) when closed == :tcp_closed,
+  def handle_info({:tcp_closed, socket}, %{socket: socket} = state),
     do: expect_end(%{state | socket: nil})
 
-  def handle_info({:tcp_error, _socket, _reason}, state), do: continue(state)
-
-  def handle_info({port, {:data, {_end, line}}}, %{port: port} = state) do
-    {entries, lines} = LogLines.add_line(state.lines, line, System.monotonic_time(:millisecond))
-    for {level, text} <- entries, do: Logger.log(level, [state.config.path, ": ", text])
-    continue(%{state | lines: lines})
-  end
+  def handle_info({port, {:data, {_end, line}}}, %{port: port} = state),
+    do: state |> log_line(line) |> continue()
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
     do: expect_end(%{state | port: nil, ending: Program.describe_status(status)})
@@ -179,6 +174,12 @@ defmodule Situ.Python.Worker do
 
   def handle_info({:EXIT, owner, reason}, %{owner: owner} = state), do: {:stop, reason, state}
   def handle_info(_other, state), do: continue(state)
+
+  defp log_line(state, line) do
+    {entries, lines} = LogLines.add_line(state.lines, line, System.monotonic_time(:millisecond))
+    for {level, text} <- entries, do: Logger.log(level, [state.config.path, ": ", text])
+    %{state | lines: lines}
+  end
 
   # The program has ended when its exit status is known and everything that it has sent was read.
   defp expect_end(%{port: nil, socket: nil} = state),
@@ -312,8 +313,7 @@ defmodule Situ.Python.Worker do
     }
 
     state = if state.in_flight == 1, do: record_progress(state), else: state
-    state = if state.batch_bytes > @frame_bytes, do: send_batch(state), else: state
-    fill_batch(state)
+    fill_batch(if state.batch_bytes > @frame_bytes, do: send_batch(state), else: state)
   end
 
   defp send_batch(%{batch: []} = state), do: state
@@ -380,14 +380,16 @@ defmodule Situ.Python.Worker do
   @impl true
   def terminate(_reason, state) do
     if state.socket, do: :gen_tcp.close(state.socket)
-    if state.phase == :running, do: await_exit(state.port)
+    if state.phase == :running, do: await_exit(state)
     if state.port, do: close_port(state.port)
     if state.memory, do: SharedMemory.close_files(state.memory)
     if state.folder, do: TempFolder.remove_folder(state.folder)
   end
 
-  defp await_exit(port) do
+  # The program may still print.
+  defp await_exit(%{port: port} = state) do
     receive do
+      {^port, {:data, {_end, line}}} -> state |> log_line(line) |> await_exit()
       {^port, {:exit_status, _}} -> :ok
     after
       @exit_timeout -> :ok
