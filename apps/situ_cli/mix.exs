@@ -5,6 +5,8 @@ defmodule Situ.CLI.MixProject do
 
   def project do
     Situ.MixApp.project(:situ_cli,
+      # Tests compile files while others are still loaded, and code versions are read from debug information.
+      test_elixirc_options: [debug_info: true],
       deps: [
         :situ_types,
         :situ,

@@ -5,6 +5,8 @@ defmodule Situ.Experiment.MixProject do
 
   def project do
     Situ.MixApp.project(:situ_experiment,
+      # Tests compile files while others are still loaded, and code versions are read from debug information.
+      test_elixirc_options: [debug_info: true],
       deps: [:situ_types, :situ, :situ_store, :situ_dataset]
     )
   end
