@@ -160,8 +160,9 @@ function compareLine({ name, times, numbers, period }, { y: [lo, hi], box, colum
     const [top, bottom, solidTop, solidBottom] = columns[c];
     const say = (text) => differ(`${name}, column ${c} at ${time(c)}: pixels ${top} to ${bottom}, ${text}`);
     n++;
-    // A message at the edge of a pixel may be mostly in the next one.
-    const [least, most] = extremes(numbers, countTo(times, time(c + 0.15)), countTo(times, time(c + 0.85)));
+    // A message at the edge of a pixel may be mostly in the next one, and the line of a message before a missing value
+    // ends there, so that it covers only a part of the pixel.
+    const [least, most] = extremes(numbers, countTo(times, time(c + 0.25)), countTo(times, time(c + 0.75)));
     if (least <= most && (top < 0 || top > height(most) + 1.6 || bottom < height(least) - 1.6))
       say(`its messages are at ${height(most)} to ${height(least)}`);
     const [i, j] = [countTo(times, time(c - 2)) - 1, countTo(times, time(c + 3)) + 1];
